@@ -1,0 +1,95 @@
+"""Training state on disk: safetensors and JSON, no pickle, committed so that a crash never leaves a torn one.
+
+A checkpoint is a folder ``checkpoint-<episode>`` beside the run's other files. It is written under another name,
+flushed, renamed, read back and verified; only then is the one before deleted. ``manifest.json`` holds the
+SHA-256 of every part.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+Arrays = dict[str, NDArray[Any]]
+
+_PARTS = ("arrays.safetensors", "state.json")
+_PREFIX = "checkpoint-"
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be used; the message is a sentence."""
+
+
+def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) -> None:
+    """Commit a checkpoint for ``episode`` and delete older ones. ``state`` must be JSON."""
+    final = run_dir / f"{_PREFIX}{episode:06d}"
+    temporary = final.with_name(final.name + ".tmp")
+    for stale in (temporary, final):
+        if stale.exists():
+            shutil.rmtree(stale)
+    temporary.mkdir()
+    parts = {
+        "arrays.safetensors": save({name: np.ascontiguousarray(array) for name, array in arrays.items()}),
+        "state.json": json.dumps(state, sort_keys=True).encode(),
+    }
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in parts.items()}
+    for name, data in (parts | {"manifest.json": json.dumps(hashes, sort_keys=True).encode()}).items():
+        with open(temporary / name, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+    _sync_folder(temporary)
+    os.rename(temporary, final)
+    _sync_folder(run_dir)
+    _verified_parts(final)
+    for other in _folders(run_dir):
+        if other != final:
+            shutil.rmtree(other)
+
+
+def read_latest(run_dir: Path) -> tuple[int, Arrays, dict[str, Any]] | None:
+    """The newest checkpoint: (episode, arrays, state), or ``None`` if the run has none.
+
+    A damaged one is passed over for the one before it, if that is still there; :class:`CheckpointError` if none is whole.
+    """
+    problem: CheckpointError | None = None
+    for folder in reversed(_folders(run_dir)):
+        try:
+            parts = _verified_parts(folder)
+            arrays, state = load(parts["arrays.safetensors"]), json.loads(parts["state.json"])
+            return int(folder.name[len(_PREFIX) :]), arrays, state
+        except (CheckpointError, SafetensorError, ValueError, OSError) as error:
+            problem = problem or CheckpointError(f"{folder} is damaged ({error}); train anew with overwrite=true")
+    if problem:
+        raise problem
+    return None
+
+
+def _folders(run_dir: Path) -> list[Path]:
+    return sorted(path for path in run_dir.glob(f"{_PREFIX}*") if path.name[len(_PREFIX) :].isdigit())
+
+
+def _verified_parts(folder: Path) -> dict[str, bytes]:
+    hashes = json.loads((folder / "manifest.json").read_bytes())
+    parts = {name: (folder / name).read_bytes() for name in _PARTS}
+    for name, data in parts.items():
+        if not isinstance(hashes, dict) or hashes.get(name) != hashlib.sha256(data).hexdigest():
+            raise CheckpointError(f"{name} does not match its hash in manifest.json")
+    return parts
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,43 @@
+"""Sentences for values that a constructor cannot use: what was given and what is allowed."""
+
+from __future__ import annotations
+
+import math
+
+
+def number(name: str, value: object, *, low: float = -math.inf, high: float = math.inf, open_low: bool = False) -> float:
+    """``value`` as a float if it is a finite number in [low, high] (``open_low``: in (low, high]).
+
+    Raises :class:`ValueError` with a sentence otherwise.
+    """
+    allowed = _range(low, high, open_low)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{name} must be a finite number{allowed}, got {value!r}")
+    if not (low < value if open_low else low <= value) or value > high:
+        raise ValueError(f"{name} must be a number{allowed}, got {value!r}")
+    return float(value)
+
+
+def integer(name: str, value: object, *, low: int, high: int | None = None) -> int:
+    """``value`` as an int if it is a whole number in [low, high]; :class:`ValueError` with a sentence otherwise."""
+    top = math.inf if high is None else high
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= top:
+        raise ValueError(f"{name} must be a whole number{_range(low, top, False)}, got {value!r}")
+    return value
+
+
+def boolean(name: str, value: object) -> bool:
+    """``value`` if it is a bool; :class:`ValueError` with a sentence otherwise."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be true or false, got {value!r}")
+    return value
+
+
+def _range(low: float, high: float, open_low: bool) -> str:
+    if low == -math.inf and high == math.inf:
+        return ""
+    if high == math.inf:
+        return f" above {low:g}" if open_low else f" of at least {low:g}"
+    if low == -math.inf:
+        return f" of at most {high:g}"
+    return f" above {low:g} and at most {high:g}" if open_low else f" from {low:g} to {high:g}"

@@ -1,0 +1,592 @@
+"""The command line, and the only place where configuration is read: below this file everything takes plain arguments.
+
+Hydra composes the configuration from ``conf/``; it is turned into a plain dict at once. Classes are chosen by name from
+the small dicts below, never by a dotted path in a file: the configuration in a downloaded run is data, not code.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from uarm_rl.env import UArmSuctionEnv
+    from uarm_rl.policy import Policy
+
+Settings = dict[str, Any]
+
+COMMANDS: Final = {
+    "train": "train one policy, or many with -m",
+    "evaluate": "test trained policies on the 100 fixed positions",
+    "report": "rebuild Table 1 and the figures from the CSV files in results/",
+    "render": "film a policy as GIF or MP4",
+}
+
+EXAMPLES: Final = {
+    "train": (
+        "uarm-rl train experiment=C episodes=100             method C of the paper, for a short budget",
+        "uarm-rl train buffer=adaptive reward=penalty seed=1 the same method, chosen by its parts",
+        "uarm-rl train -m experiment=A,B,C,D seed=0,1,2      twelve runs; resume=true skips and continues",
+    ),
+    "evaluate": (
+        "uarm-rl evaluate                                    every trained run that has no evaluation yet",
+        "uarm-rl evaluate policy=ik                          the inverse-kinematics controller, as a reference",
+        "uarm-rl evaluate run=results/adaptive-penalty/seed0 tolerance_m=0.002 out=strict.csv",
+    ),
+    "report": (
+        "uarm-rl report                                      table1.md, table1.csv and the pictures in results/",
+        "uarm-rl report results_dir=demo                     the same for another folder of runs",
+    ),
+    "render": (
+        "uarm-rl render run=results/adaptive-penalty/seed0   episode.gif in the run's folder",
+        "uarm-rl render run=results/uniform-plain/seed0 position=[0.25,0.1,0.03] out=shaking.gif",
+        "uarm-rl render run=results/adaptive-penalty/seed0 policy=ik out=ik.gif",
+    ),
+}
+
+OVERVIEW: Final = """\
+uarm-rl: train a uArm Swift Pro to bring its suction cup to an object, in simulation and on the desk.
+
+usage: uarm-rl COMMAND [name=value ...] [-m]
+
+{commands}
+
+  uarm-rl train experiment=C episodes=100      method C of the paper, for a short budget
+  uarm-rl train -m experiment=A,B,C,D seed=0,1 eight runs, one after the other
+  uarm-rl evaluate && uarm-rl report           test every trained run, then the table and the pictures
+
+uarm-rl COMMAND --help   what the command does, its groups and values
+uarm-rl --version        the version
+eval "$(uarm-rl -sc install=bash)"   completion of commands, groups and values in bash
+"""
+
+
+class UsageError(Exception):
+    """The command line asks for something that does not exist; the message is a sentence."""
+
+
+# ------------------------------------------------------------------------------------------ from names to objects
+
+
+def _holds() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.hold import FixedHold, UntilSteady
+
+    return {"fixed": FixedHold, "until_steady": UntilSteady}
+
+
+def _admissions() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.admission import AdmitAll, NotStuck
+
+    return {"all": AdmitAll, "not_stuck": NotStuck}
+
+
+def _rewards() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.reward import DistanceReward
+
+    return {"plain": DistanceReward, "penalty": DistanceReward}
+
+
+def _noises() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.noise import Gaussian, OrnsteinUhlenbeck
+
+    return {"ornstein_uhlenbeck": OrnsteinUhlenbeck, "gaussian": Gaussian}
+
+
+def _servos() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.sim.servo import Instant, SecondOrder, Stepper
+
+    return {"second_order": SecondOrder, "stepper": Stepper, "instant": Instant}
+
+
+def _agents() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.ddpg import DDPG
+
+    return {"ddpg": DDPG}
+
+
+#: The open sets: configuration group -> its classes by name. Functions, so that a command imports only what it uses.
+OPEN_SETS: Final = {
+    "hold": _holds,
+    "admission": _admissions,
+    "reward": _rewards,
+    "noise": _noises,
+    "servo": _servos,
+    "agent": _agents,
+}
+
+
+def build(group: str, settings: Mapping[str, Any], **runtime: Any) -> Any:
+    """The object that a configuration group describes: its class by ``name``, the other keys as arguments.
+
+    Raises :class:`ValueError` with a sentence for a name or a key that does not exist, or a value out of range.
+    """
+    classes = OPEN_SETS[group]()
+    arguments = dict(settings)
+    name = arguments.pop("name", None)
+    if name not in classes:
+        raise ValueError(f"{group} has no {name!r}; choose one of {', '.join(classes)}")
+    try:
+        return classes[name](**arguments, **runtime)
+    except TypeError as error:  # a missing or an unknown argument
+        raise ValueError(f"the keys of {group}={name} do not fit: {error}") from error
+
+
+def build_env(
+    settings: Settings,
+    *,
+    time_limit_s: float | None,
+    render_mode: str | None = None,
+    picture_size: tuple[int, int] = (480, 360),
+) -> UArmSuctionEnv:
+    """The suction task over the simulated arm, from a whole training configuration."""
+    from uarm_rl.env import UArmSuctionEnv
+    from uarm_rl.sim.arm import SimArm
+
+    sim = dict(settings["sim"])
+    sim["gui"] = sim["gui"] or render_mode == "human"
+    try:
+        arm = SimArm(build("servo", settings["servo"]), control_hz=settings["control_hz"], **sim)
+    except TypeError as error:
+        raise ValueError(f"the keys of sim do not fit: {error}") from error
+    return UArmSuctionEnv(
+        arm,
+        arm,
+        build("reward", settings["reward"]),
+        build("hold", settings["buffer"]["hold"]),
+        control_hz=settings["control_hz"],
+        max_delta_rad=settings["max_delta_rad"],
+        tolerance_m=settings["tolerance_m"],
+        dwell_s=settings["dwell_s"],
+        time_limit_s=time_limit_s,
+        object_height_m=sim["object_size_m"],
+        render_mode=render_mode,
+        take_picture=partial(arm.render, *picture_size),
+    )
+
+
+def make_env(overrides: tuple[str, ...] = (), render_mode: str | None = None) -> UArmSuctionEnv:
+    """Entry point of ``gymnasium.make("uarm_rl/UArmSuction-v0")``; ``overrides`` as on the command line of train."""
+    settings = compose("train", overrides)
+    return build_env(settings, time_limit_s=settings["time_limit_s"], render_mode=render_mode)
+
+
+def compose(command: str, overrides: tuple[str, ...] = ()) -> Settings:
+    """The configuration of a command as a plain dict, with ``overrides`` as on the command line."""
+    import hydra
+
+    with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
+        return _plain(hydra.compose(command, list(overrides)))
+
+
+def _plain(cfg: DictConfig) -> Settings:
+    """A configuration as a plain dict, interpolations resolved. Raises :class:`UsageError` for a missing value."""
+    from omegaconf import OmegaConf
+
+    if missing := OmegaConf.missing_keys(cfg):
+        raise UsageError(f"{min(missing)}=VALUE is needed; --help tells what it is")
+    settings = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(settings, dict)
+    return {str(key): value for key, value in settings.items()}
+
+
+# -------------------------------------------------------------------------------------------------- the commands
+
+
+def train(settings: Settings) -> None:
+    """Train one policy in its run folder."""
+    import numpy as np
+    import torch
+    import yaml
+
+    from uarm_rl import positions, session
+    from uarm_rl.env import ACTION_SIZE
+    from uarm_rl.evaluate import success_rate
+    from uarm_rl.observation import SIZE
+    from uarm_rl.pipeline import InlineEnv, SubprocessEnv
+    from uarm_rl.replay import ReplayBuffer
+
+    torch.set_num_threads(1)  # two threads are slower at this size, and would change the last bits
+    torch.set_flush_denormal(True)
+    run_dir = Path(settings["results_dir"]) / str(settings["name"]) / f"seed{settings['seed']}"
+    if settings["resume"] and session.is_finished(run_dir):
+        print(f"{run_dir} is finished; nothing to do")
+        return
+    schedule = session.Schedule(**{name: settings[name] for name in session.Schedule.__dataclass_fields__})
+    seeds = np.random.SeedSequence(_seed(settings["seed"])).spawn(4)
+    env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
+    # Everything is built, and so every value checked, before the folder is touched.
+    make_training_env = partial(build_env, settings, time_limit_s=None)
+    validation_env = build_env(settings, time_limit_s=settings["time_limit_s"])
+    agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=torch.Generator().manual_seed(network_seed))
+    replay = ReplayBuffer(
+        settings["buffer"]["capacity"],
+        observation_size=SIZE,
+        action_size=ACTION_SIZE,
+        generator=np.random.default_rng(seeds[2]),
+    )
+    noise = build("noise", settings["noise"], action_size=ACTION_SIZE, generator=np.random.default_rng(seeds[3]))
+    admission = build("admission", settings["buffer"]["admission"])
+    policy = agent.policy(_policy_metadata(settings))
+    validation_positions = positions.load_packaged("validation_positions.csv")
+
+    transient = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
+    config = yaml.safe_dump({key: value for key, value in settings.items() if key not in transient}, sort_keys=False)
+    with session.claim(run_dir, config, resume=settings["resume"], overwrite=settings["overwrite"]):
+        env = (SubprocessEnv if settings["simulate_beside"] else InlineEnv)(make_training_env, env_seed)
+        try:
+            finished = session.run(
+                run_dir,
+                env,
+                agent,
+                policy,
+                replay,
+                admission,
+                noise,
+                schedule,
+                validate=lambda policy: success_rate(validation_env, policy, validation_positions),
+                tensorboard=settings["tensorboard"],
+                say=print,
+            )
+        finally:
+            env.close()
+            validation_env.close()
+    if finished:
+        print(f"trained: {run_dir}; test it with: uarm-rl evaluate run={run_dir}")
+    else:
+        print(f"stopped: {run_dir}; the same command with resume=true continues it")
+        raise SystemExit(130)
+
+
+def _seed(seed: object) -> int:
+    from uarm_rl import checks
+
+    return checks.integer("seed", seed, low=0)
+
+
+def _policy_metadata(settings: Settings) -> Settings:
+    """What a user of the policy has to know to run it as it was trained."""
+    return {
+        "max_delta_rad": settings["max_delta_rad"],
+        "control_hz": settings["control_hz"],
+        "hold": settings["buffer"]["hold"],
+        "servo": settings["servo"],
+        "tolerance_m": settings["tolerance_m"],
+        "dwell_s": settings["dwell_s"],
+        "buffer": settings["buffer"]["name"],
+        "reward": settings["reward"]["name"],
+        "episodes": settings["episodes"],
+        "seed": settings["seed"],
+    }
+
+
+def read_run(run_dir: Path) -> Settings:
+    """The configuration that a run was trained with. Raises :class:`UsageError` if the folder holds no run."""
+    import yaml
+
+    from uarm_rl.session import CONFIG
+
+    if not run_dir.is_dir():
+        raise UsageError(f"there is no run folder {run_dir}; a run is results/NAME/seedN, made by uarm-rl train")
+    try:
+        settings = yaml.safe_load((run_dir / CONFIG).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UsageError(f"{run_dir} holds no {CONFIG}; a run is results/NAME/seedN, made by uarm-rl train") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UsageError(f"{run_dir / CONFIG} is damaged: {' '.join(str(error).split())}") from None
+    needed = ("sim", "servo", "reward", "buffer", "control_hz", "max_delta_rad", "tolerance_m", "dwell_s", "time_limit_s")
+    missing = [key for key in needed if not isinstance(settings, dict) or key not in settings]
+    if missing:
+        raise UsageError(f"{run_dir / CONFIG} lacks {missing[0]}; it was not written by uarm-rl train")
+    return dict(settings)
+
+
+def _load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
+    from uarm_rl.policy import ActorPolicy, InverseKinematicsPolicy
+    from uarm_rl.session import POLICY
+
+    if name == "ik":
+        return InverseKinematicsPolicy(settings["max_delta_rad"])
+    if name is not None:
+        raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give policy=ik")
+    if not (run_dir / POLICY).exists():
+        raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
+    return ActorPolicy.load(run_dir / POLICY)
+
+
+def evaluate(settings: Settings) -> None:
+    """Test policies on fixed positions and write one CSV row a position."""
+    results_dir = Path(settings["results_dir"])
+    changed = [key for key in ("positions", "tolerance_m", "hold") if settings.get(key) is not None]
+    if changed and not settings["out"]:
+        raise UsageError(
+            f"{changed[0]} changes the test, so give out=FILE for its result; evaluation.csv is for the standard test"
+        )
+    if settings["policy"] == "ik":
+        # The baseline's own row: the task of a default training, in a folder beside the runs.
+        run_dir = Path(settings["run"]) if settings["run"] else results_dir / "ik" / "seed0"
+        runs = [(run_dir, read_run(run_dir) if settings["run"] else compose("train"))]
+    elif settings["run"]:
+        runs = [(Path(settings["run"]), read_run(Path(settings["run"])))]
+    else:
+        if settings["out"]:
+            raise UsageError("out=FILE takes the result of one run, so give run=DIR too")
+        runs = [(folder, read_run(folder)) for folder in _runs_to_evaluate(results_dir, settings["overwrite"])]
+        if not runs:
+            print(f"every trained run in {results_dir} is evaluated already; overwrite=true evaluates them again")
+    for run_dir, run_settings in runs:
+        _evaluate_run(settings, run_dir, run_settings)
+
+
+def _runs_to_evaluate(results_dir: Path, overwrite: bool) -> list[Path]:
+    from uarm_rl.session import POLICY
+
+    trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
+    if not trained:
+        raise UsageError(
+            f"{results_dir} holds no trained run; make one with uarm-rl train, or name its folder: results_dir=DIR"
+        )
+    return [folder for folder in trained if overwrite or not (folder / "evaluation.csv").exists()]
+
+
+def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings) -> None:
+    from tqdm import tqdm
+
+    from uarm_rl import checks, positions
+    from uarm_rl.evaluate import COLUMNS
+    from uarm_rl.evaluate import evaluate as evaluate_policy
+    from uarm_rl.logbook import write_rows
+
+    out = Path(settings["out"]) if settings["out"] else run_dir / "evaluation.csv"
+    if out.exists() and not settings["overwrite"]:
+        raise UsageError(f"{out} exists already; overwrite=true replaces it, out=FILE writes elsewhere")
+    if settings["tolerance_m"] is not None:
+        run_settings = run_settings | {"tolerance_m": settings["tolerance_m"]}
+    if settings.get("hold"):
+        run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
+    where = (
+        positions.load(Path(settings["positions"])) if settings["positions"] else positions.load_packaged("test_positions.csv")
+    )
+    policy = _load_policy(run_dir, settings["policy"], run_settings)
+    make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
+    make().close()  # a bad value shows here, as a sentence, and not in a worker
+    cores = len(os.sched_getaffinity(0))
+    workers = cores if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
+    episodes = evaluate_policy(
+        make,
+        policy,
+        where,
+        build("reward", settings["common_reward"]),
+        control_hz=run_settings["control_hz"],
+        workers=min(workers, len(where)),
+    )
+    rows = list(tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_rows(out, COLUMNS, rows)
+    successes = sum(bool(row["success"]) for row in rows)
+    print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")
+
+
+def report(settings: Settings) -> None:
+    """Rebuild table and figures."""
+    from uarm_rl.report import report as write_report
+
+    print(write_report(Path(settings["results_dir"])))
+
+
+def render(settings: Settings) -> None:
+    """Film a policy."""
+    import numpy as np
+
+    from uarm_rl import checks
+    from uarm_rl.render import film, write_film
+
+    run_dir = Path(settings["run"])
+    run_settings = read_run(run_dir)
+    policy = _load_policy(run_dir, settings["policy"], run_settings)
+    out = Path(settings["out"]) if settings["out"] else run_dir / "episode.gif"
+    size = (checks.integer("width", settings["width"], low=64), checks.integer("height", settings["height"], low=64))
+    episodes = checks.integer("episodes", settings["episodes"], low=1)
+    resets: list[dict[str, Any]] = [{"seed": _seed(settings["seed"]) + number} for number in range(episodes)]
+    if settings["position"] is not None:
+        resets = [{"options": {"object_position": np.array(settings["position"], np.float64)}}]
+    time_limit_s = run_settings["time_limit_s"]
+    with_pictures = partial(build_env, run_settings, time_limit_s=time_limit_s, render_mode="rgb_array_list", picture_size=size)
+    env = with_pictures()
+    try:
+        pictures, successes = film(env, policy, resets)
+    finally:
+        env.close()
+    write_film(out, pictures, frames_per_second=run_settings["control_hz"])
+    print(f"{out}: {len(pictures)} pictures, {successes} of {len(resets)} episodes successful")
+
+
+# --------------------------------------------------------------------------------------------------- the front door
+
+
+def main() -> None:
+    """Run the command that ``sys.argv`` names. Exit codes: 0 done, 1 it failed, 2 the command line is wrong."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: one observation is no work for two threads
+    words = sys.argv[1:]
+    if _completes(words):
+        return
+    if not words or words[0] in ("-h", "--help"):
+        print(OVERVIEW.format(commands="\n".join(f"  {name:9} {text}" for name, text in COMMANDS.items())))
+        return
+    if words[0] == "--version":
+        from uarm_rl import __version__
+
+        print(f"uarm-rl {__version__}")
+        return
+    try:
+        _check_words(words)
+        _run(words[0], words[1:])
+    except KeyboardInterrupt:
+        _fail("interrupted; what was saved before is whole", 130)
+    except Exception as error:
+        if os.environ.get("UARM_RL_TRACEBACK"):
+            raise
+        _fail(*_explain(error))
+
+
+def _fail(sentence: str, code: int) -> None:
+    print(f"error: {sentence}", file=sys.stderr)
+    raise SystemExit(code)
+
+
+#: What a user of this program needs of Hydra. Its other switches and settings (callbacks, search paths, logging)
+#: could run code that a configuration names.
+_FLAGS: Final = ("-m", "--multirun", "-h", "--help", "-c", "--cfg")
+_HYDRA_OVERRIDES: Final = ("hydra/launcher=basic", "hydra/launcher=joblib")
+
+
+def _check_words(words: list[str]) -> None:
+    command, *rest = words
+    if command not in COMMANDS:
+        near = difflib.get_close_matches(command, COMMANDS, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(COMMANDS)}"
+        raise UsageError(f"there is no command {command!r}; {hint}")
+    for word in rest:
+        if word.startswith("-") and word not in _FLAGS:
+            raise UsageError(f"{word} is no option of uarm-rl {command}; it takes name=value, -m and --help")
+        if word.startswith(("+", "~")):
+            raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
+        if word.startswith("hydra") and word not in _HYDRA_OVERRIDES and not _is_job_count(word):
+            raise UsageError(f"{word} is not for the command line; of Hydra's own settings only hydra/launcher=joblib is")
+
+
+def _is_job_count(word: str) -> bool:
+    name, _, value = word.partition("=")
+    return name == "hydra.launcher.n_jobs" and value.lstrip("-").isdigit()
+
+
+def _run(command: str, words: list[str]) -> None:
+    if {"-h", "--help"} & set(words):
+        print(_help(command))
+    elif {"-c", "--cfg"} & set(words):
+        import yaml
+
+        overrides = tuple(word for word in words if not word.startswith("-") and word != "job")
+        print(yaml.safe_dump(compose(command, overrides), sort_keys=False), end="")
+    elif {"-m", "--multirun"} & set(words):
+        _run_many(command, [word for word in words if not word.startswith("-")])
+    else:
+        _task(command)(compose(command, tuple(words)))
+
+
+def _task(command: str) -> Callable[[Settings], None]:
+    return {"train": train, "evaluate": evaluate, "report": report, "render": render}[command]
+
+
+def _run_many(command: str, overrides: list[str]) -> None:
+    """Every combination of the overrides' values, one after the other or through ``hydra/launcher=joblib``.
+
+    A job that fails is named at once and does not keep the others from running; the first failure is raised at the end.
+    """
+    import hydra
+
+    def task(cfg: DictConfig) -> None:
+        try:
+            _task(command)(_plain(cfg))
+        except Exception as error:
+            print(f"failed: {_explain(error)[0]}", file=sys.stderr)
+            raise
+
+    sys.argv = [sys.argv[0], "--multirun", *overrides]
+    hydra.main(config_path="pkg://uarm_rl.conf", config_name=command, version_base="1.3")(task)()
+
+
+def _help(command: str) -> str:
+    """What a command does, its groups with their choices, and its configuration file, whose comments explain each key."""
+    conf = resources.files("uarm_rl.conf")
+    defaults, values = (conf / f"{command}.yaml").read_text(encoding="utf-8").split("\n\n", 1)
+    lines = [f"uarm-rl {command}: {COMMANDS[command]}", "", "Examples:", *(f"  {line}" for line in EXAMPLES[command])]
+    groups = [line.split()[1].rstrip(":") for line in defaults.splitlines() if line.startswith("  - ") and ": " in line]
+    if groups:
+        lines += ["", "Groups (group=choice picks one, group.key=value changes a value in it; --cfg job shows all):"]
+    for group in groups:
+        folder = group.partition("@")[0]
+        names = sorted(path.name.removesuffix(".yaml") for path in (conf / folder).iterdir() if path.name.endswith(".yaml"))
+        lines.append(f"  {group:21} {', '.join(names)}")
+    shared = (conf / "command.yaml").read_text(encoding="utf-8")
+    shared_values = [line for line in shared.splitlines() if line.startswith("results_dir")]
+    return "\n".join([*lines, "", "Values (key=value):", *(f"  {line}" for line in [*shared_values, *values.splitlines()])])
+
+
+def _explain(error: Exception) -> tuple[str, int]:
+    """A sentence and an exit code for an exception: 2 for a wrong command line, 1 for a command that failed."""
+    from uarm_rl.arm import ArmError
+
+    sentence = " ".join(str(error).split()) or type(error).__name__
+    module = type(error).__module__
+    if module.startswith(("hydra", "omegaconf")):
+        return _explain_override(sentence), 2
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}; check the path, its permissions and the free space", 1
+    if isinstance(error, UsageError) or type(error) is ValueError:
+        return sentence, 2
+    if isinstance(error, (ValueError, ArmError)) or module.startswith("uarm_rl"):
+        return sentence, 1
+    return f"{type(error).__name__}: {sentence}; this is a bug, UARM_RL_TRACEBACK=1 shows where", 1
+
+
+def _explain_override(sentence: str) -> str:
+    """Hydra's own sentence without what only its developers need."""
+    if match := re.search(r"Could not override '([^']+)'", sentence):
+        return f"there is no setting {match[1]!r}; --help and --cfg job list the settings"
+    if match := re.search(r"Could not find '([^']+)' Available options in '([^']+)': (.*?) Config search path", sentence):
+        return f"there is no {match[1]!r}; {match[2]} is one of {match[3].replace(' ', ', ')}"
+    if match := re.search(r"No match in the defaults list for '([^']+)'|Could not override '([^']+)'\. No match", sentence):
+        return f"there is no group or setting {match[1] or match[2]!r}; --help lists what there is"
+    if re.search(r"Lexer|no viable alternative|mismatched|extraneous|token", sentence):
+        return f"an override cannot be read ({sentence.split(' See https')[0]}); write name=value, lists as [1,2,3]"
+    return f"{sentence.split(' Config search path')[0].split(' See https')[0]}; --help lists what there is"
+
+
+def _completes(words: list[str]) -> bool:
+    """Answer the shell's completion queries: commands here, everything behind a command by Hydra."""
+    if not words or words[0] not in ("-sc", "--shell-completion"):
+        return False
+    import hydra
+
+    line = os.environ.get("COMP_LINE", "").split(" ")
+    if len(words) > 1 and words[1].startswith("query=") and len(line) == 2:
+        print("\n".join(name for name in COMMANDS if name.startswith(line[1])))
+        return True
+    command = line[1] if len(line) > 2 and line[1] in COMMANDS else "train"
+    if len(line) > 2:
+        os.environ["COMP_LINE"] = " ".join([line[0], *line[2:]])
+    hydra.main(config_path="pkg://uarm_rl.conf", config_name=command, version_base="1.3")(lambda cfg: None)()
+    return True
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""How long does a command act? The first of the two questions that a buffer policy answers.
+
+A decision commands the joints once; the arm then runs for a number of control steps until the hold releases it,
+and only then the next state is observed. The paper's uniform update releases after every control step, its
+adaptive update when the arm has reached a steady state (section 3.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from uarm_rl import checks
+
+
+class Hold(Protocol):
+    """A rule for how long a command acts."""
+
+    def releases(self, control_steps: int, travel_rad: float) -> bool:
+        """Whether the decision ends now.
+
+        ``control_steps`` counts those since the command (1 after the first); ``travel_rad`` is the largest joint
+        movement between the last and the current control step.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class FixedHold:
+    """Release after a fixed number of control steps; 1 is the paper's uniform update."""
+
+    control_steps: int
+
+    def __post_init__(self) -> None:
+        checks.integer("hold.control_steps", self.control_steps, low=1)
+
+    def releases(self, control_steps: int, travel_rad: float) -> bool:
+        return control_steps >= self.control_steps
+
+
+@dataclass(frozen=True)
+class UntilSteady:
+    """Release when every joint moved less than a threshold in the last control step: the paper's steady state.
+
+    ``min_control_steps`` covers the dead time of the servo (an arm that has not started yet looks steady),
+    ``max_control_steps`` ends the wait for an arm that never comes to rest.
+    """
+
+    steady_threshold_rad: float
+    min_control_steps: int
+    max_control_steps: int
+
+    def __post_init__(self) -> None:
+        checks.number("hold.steady_threshold_rad", self.steady_threshold_rad, low=0.0, open_low=True)
+        checks.integer("hold.min_control_steps", self.min_control_steps, low=1)
+        checks.integer("hold.max_control_steps", self.max_control_steps, low=self.min_control_steps)
+
+    def releases(self, control_steps: int, travel_rad: float) -> bool:
+        if control_steps < self.min_control_steps:
+            return False
+        return travel_rad < self.steady_threshold_rad or control_steps >= self.max_control_steps

@@ -1,0 +1,1 @@
+"""The real arm (serial port and camera)."""

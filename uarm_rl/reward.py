@@ -1,0 +1,63 @@
+"""The reward of the paper, equation (4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from uarm_rl import checks
+
+
+@dataclass(frozen=True)
+class RewardTerms:
+    """The three terms of equation (4); their sum is the reward."""
+
+    distance: float  # alpha * r_d(s')
+    progress: float  # beta * (r_d(s') - r_d(s))
+    displacement: float  # sigma * d_o(s, s')
+
+    @property
+    def total(self) -> float:
+        """The reward."""
+        return self.distance + self.progress + self.displacement
+
+
+@dataclass(frozen=True)
+class DistanceReward:
+    """``alpha r_d(s') + beta (r_d(s') - r_d(s)) + sigma d_o(s, s')`` with ``r_d = alpha_d d_h + beta_d d_v``.
+
+    d_h and d_v are the horizontal and vertical distances (m) from the cup to the centre of the object's upper
+    surface, d_o the distance (m) by which the object moved. The paper demands alpha, beta > 0 and
+    alpha_d, beta_d < 0; sigma is 0 (methods A, B) or negative (methods C, D).
+    """
+
+    alpha: float
+    beta: float
+    sigma: float
+    alpha_d: float
+    beta_d: float
+
+    def __post_init__(self) -> None:
+        checks.number("reward.alpha", self.alpha, low=0.0, open_low=True)
+        checks.number("reward.beta", self.beta, low=0.0)
+        checks.number("reward.sigma", self.sigma, high=0.0)
+        checks.number("reward.alpha_d", self.alpha_d, high=0.0)
+        checks.number("reward.beta_d", self.beta_d, high=0.0)
+
+    def distance_reward(self, cup_m: Sequence[float], object_m: Sequence[float]) -> float:
+        """r_d of one state."""
+        horizontal = math.hypot(cup_m[0] - object_m[0], cup_m[1] - object_m[1])
+        return self.alpha_d * horizontal + self.beta_d * abs(cup_m[2] - object_m[2])
+
+    def __call__(
+        self, cup_m: Sequence[float], object_m: Sequence[float], next_cup_m: Sequence[float], next_object_m: Sequence[float]
+    ) -> RewardTerms:
+        """Terms of the reward for the step from (cup, object) to (next cup, next object), positions in metres."""
+        before = self.distance_reward(cup_m, object_m)
+        after = self.distance_reward(next_cup_m, next_object_m)
+        return RewardTerms(
+            distance=self.alpha * after,
+            progress=self.beta * (after - before),
+            displacement=self.sigma * math.dist(object_m, next_object_m),
+        )

@@ -1,0 +1,249 @@
+"""One training run in its folder: begin or resume, log, validate, checkpoint, finish.
+
+A run's folder holds ``config.yaml``, ``progress.csv``, checkpoints while it trains, and ``policy.safetensors`` once
+it has finished: that file is what tells a finished run.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from uarm_rl import checkpoint, checks
+from uarm_rl.admission import Admission
+from uarm_rl.ddpg import DDPG
+from uarm_rl.logbook import Logbook, replace_text
+from uarm_rl.noise import Noise
+from uarm_rl.pipeline import InlineEnv, SubprocessEnv
+from uarm_rl.policy import ActorPolicy, Policy
+from uarm_rl.replay import ReplayBuffer
+from uarm_rl.train import COLUMNS, Counters, stop_on_signals, train
+
+POLICY: Final = "policy.safetensors"
+CONFIG: Final = "config.yaml"
+PROGRESS: Final = "progress.csv"
+
+
+class RunFolderError(Exception):
+    """The folder cannot take this run; the message is a sentence with the remedy."""
+
+
+def is_finished(run_dir: Path) -> bool:
+    """Whether the folder holds a run that trained to its end."""
+    return (run_dir / POLICY).exists()
+
+
+@contextmanager
+def claim(run_dir: Path, config_text: str, *, resume: bool, overwrite: bool) -> Iterator[None]:
+    """Make the folder ours for as long as the context lasts, with ``config_text`` in it.
+
+    Raises :class:`RunFolderError` when it holds another run that nobody allowed to continue or overwrite, a run with another
+    configuration, or one that another process is training.
+    """
+    run_dir.mkdir(parents=True, exist_ok=True)
+    with open(run_dir / ".lock", "w", encoding="utf-8") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RunFolderError(f"another process is training in {run_dir}; wait for it or choose another name") from None
+        others = [path for path in run_dir.iterdir() if path.name != ".lock"]
+        if others and overwrite:
+            for path in others:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        elif others and not resume:
+            state = "a finished" if is_finished(run_dir) else "an unfinished"
+            raise RunFolderError(
+                f"{run_dir} already holds {state} run; resume=true continues or keeps it, overwrite=true deletes it, "
+                "name=NAME or seed=N makes another"
+            )
+        elif others and (run_dir / CONFIG).exists() and (run_dir / CONFIG).read_text(encoding="utf-8") != config_text:
+            raise RunFolderError(
+                f"{run_dir} was begun with another configuration (compare its {CONFIG}); resume it with the same one, "
+                "or choose another name"
+            )
+        replace_text(run_dir / CONFIG, config_text)
+        yield
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long a run is and what happens when; the names are those of the configuration."""
+
+    episodes: int
+    experiences_per_episode: int
+    max_decisions_per_episode: int
+    batch_size: int
+    warmup_experiences: int
+    validate_every: int
+    checkpoint_every: int
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            checks.integer(name, value, low=0 if name == "warmup_experiences" else 1)
+        checks.integer("max_decisions_per_episode", self.max_decisions_per_episode, low=self.experiences_per_episode)
+
+
+def run(
+    run_dir: Path,
+    env: InlineEnv | SubprocessEnv,
+    agent: DDPG,
+    policy: ActorPolicy,
+    replay: ReplayBuffer,
+    admission: Admission,
+    noise: Noise,
+    schedule: Schedule,
+    *,
+    validate: Callable[[Policy], float],
+    tensorboard: bool,
+    say: Callable[[str], None],
+) -> bool:
+    """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop."""
+    counters = Counters()
+    saved = checkpoint.read_latest(run_dir)
+    if saved:
+        _restore(saved, env, agent, replay, noise, counters)
+        say(f"resuming after episode {counters.episode} of {schedule.episodes}")
+    with ExitStack() as stack:
+        log = Logbook(run_dir / PROGRESS, COLUMNS, keep_rows=counters.episode)
+        stack.callback(log.close)
+        write_scalars = stack.enter_context(_tensorboard(run_dir)) if tensorboard else None
+        bar = stack.enter_context(_progress_bar(schedule, counters))
+        stop = stack.enter_context(stop_on_signals(bar.write))
+
+        def end_of_episode(row: dict[str, object]) -> bool:
+            last = counters.episode == schedule.episodes
+            if last or counters.episode % schedule.validate_every == 0:
+                row["validation_success_rate"] = validate(policy)
+            log.add(row)
+            if write_scalars:
+                write_scalars(row)
+            bar.show(row)
+            if last or stop.requested or counters.episode % schedule.checkpoint_every == 0:
+                _save(run_dir, env, agent, replay, noise, counters)
+            return stop.requested
+
+        train(
+            env,
+            agent,
+            policy,
+            replay,
+            admission,
+            noise,
+            counters,
+            episodes=schedule.episodes,
+            experiences_per_episode=schedule.experiences_per_episode,
+            max_decisions_per_episode=schedule.max_decisions_per_episode,
+            warmup_experiences=schedule.warmup_experiences,
+            batch_size=schedule.batch_size,
+            end_of_episode=end_of_episode,
+        )
+    if counters.episode < schedule.episodes:
+        return False
+    policy.save(run_dir / POLICY)
+    return True
+
+
+def _save(
+    run_dir: Path,
+    env: InlineEnv | SubprocessEnv,
+    agent: DDPG,
+    replay: ReplayBuffer,
+    noise: Noise,
+    counters: Counters,
+) -> None:
+    arrays = {f"agent/{name}": tensor.numpy() for name, tensor in agent.tensors().items()}
+    arrays["replay/rows"] = replay.rows[: len(replay)]
+    state = {
+        "counters": asdict(counters),
+        "replay": {"added": replay.added, "generator": replay.generator.bit_generator.state},
+        "noise": {"state": noise.state.tolist(), "generator": noise.generator.bit_generator.state},
+        "env": {"generator": env.generator_state()},
+    }
+    checkpoint.write(run_dir, counters.episode, arrays, state)
+
+
+def _restore(
+    saved: tuple[int, checkpoint.Arrays, dict[str, Any]],
+    env: InlineEnv | SubprocessEnv,
+    agent: DDPG,
+    replay: ReplayBuffer,
+    noise: Noise,
+    counters: Counters,
+) -> None:
+    _, arrays, state = saved
+    try:
+        agent.load_tensors(
+            {
+                name.removeprefix("agent/"): torch.from_numpy(array)
+                for name, array in arrays.items()
+                if name.startswith("agent/")
+            }
+        )
+        rows = arrays["replay/rows"]
+        replay.rows[: len(rows)] = rows
+        replay.added = state["replay"]["added"]
+        replay.generator.bit_generator.state = state["replay"]["generator"]
+        noise.state = np.array(state["noise"]["state"])
+        noise.generator.bit_generator.state = state["noise"]["generator"]
+        env.set_generator_state(state["env"]["generator"])
+        for name, value in state["counters"].items():
+            setattr(counters, name, value)
+    except (KeyError, TypeError, ValueError) as error:
+        raise checkpoint.CheckpointError(f"the checkpoint does not fit this configuration ({error})") from error
+
+
+class _Bar:
+    """The progress bar: episode, success rate, admission rate, decisions per second, time left."""
+
+    def __init__(self, bar: Any, counters: Counters) -> None:
+        self._bar = bar
+        self._before = (counters.decisions, counters.wall_s)
+        self._validation = "-"
+        self._counters = counters
+
+    def write(self, text: str) -> None:
+        self._bar.write(text)
+
+    def show(self, row: dict[str, object]) -> None:
+        if "validation_success_rate" in row:
+            self._validation = f"{row['validation_success_rate']:.0%}"
+        decisions, wall_s = self._before
+        rate = (self._counters.decisions - decisions) / max(1e-9, self._counters.wall_s - wall_s)
+        self._bar.set_postfix_str(
+            f"success {self._validation}, admitted {row['admission_rate']:.0%}, {rate:.0f} decisions/s", refresh=False
+        )
+        self._bar.update()
+
+
+@contextmanager
+def _progress_bar(schedule: Schedule, counters: Counters) -> Iterator[_Bar]:
+    from tqdm import tqdm
+
+    with tqdm(
+        total=schedule.episodes, initial=counters.episode, unit="episode", dynamic_ncols=True, mininterval=0.5, smoothing=0.1
+    ) as bar:
+        yield _Bar(bar, counters)
+
+
+@contextmanager
+def _tensorboard(run_dir: Path) -> Iterator[Callable[[dict[str, object]], None]]:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise RunFolderError("tensorboard=true needs the extra: pip install 'uarm-rl[tensorboard]'") from None
+    with SummaryWriter(run_dir / "tensorboard") as writer:
+
+        def write(row: dict[str, object]) -> None:
+            for name, value in row.items():
+                if isinstance(value, (int, float)):
+                    writer.add_scalar(name, value, row["experiences"])
+
+        yield write

@@ -1,0 +1,146 @@
+"""The training loop, and nothing else."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from uarm_rl.admission import Admission
+from uarm_rl.ddpg import DDPG
+from uarm_rl.noise import Noise
+from uarm_rl.policy import Policy
+from uarm_rl.replay import ReplayBuffer
+
+COLUMNS: Final = (
+    "episode",
+    "experiences",
+    "control_steps",
+    "updates",
+    "admission_rate",
+    "episode_return",
+    "critic_loss",
+    "actor_loss",
+    "validation_success_rate",
+    "wall_s",
+    "decisions",
+    "successes",
+    "object_losses",
+)
+
+
+class TrainingEnv(Protocol):
+    """An environment whose step is in two halves, so that the learner can work while the arm moves."""
+
+    def reset(self, *, home: bool) -> Any: ...
+    def send(self, action: Any) -> None: ...
+    def receive(self) -> tuple[Any, float, bool, bool, dict[str, Any]]: ...
+
+
+@dataclass
+class Counters:
+    """How far a training is; all of it is in the checkpoint. ``experiences`` are counted by the replay buffer."""
+
+    episode: int = 0
+    decisions: int = 0
+    control_steps: int = 0
+    updates: int = 0
+    wall_s: float = 0.0
+
+
+class Stop:
+    """Whether somebody asked the training to stop."""
+
+    requested = False
+
+
+@contextmanager
+def stop_on_signals(announce: Callable[[str], None]) -> Iterator[Stop]:
+    """Ctrl-C or SIGTERM asks for a stop at the end of the episode; a second Ctrl-C interrupts at once."""
+    stop = Stop()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.requested:
+            raise KeyboardInterrupt
+        stop.requested = True
+        announce("stopping after this episode; press Ctrl-C again to leave at once")
+
+    previous = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def train(
+    env: TrainingEnv,
+    agent: DDPG,
+    policy: Policy,
+    replay: ReplayBuffer,
+    admission: Admission,
+    noise: Noise,
+    counters: Counters,
+    *,
+    episodes: int,
+    experiences_per_episode: int,
+    max_decisions_per_episode: int,
+    warmup_experiences: int,
+    batch_size: int,
+    end_of_episode: Callable[[dict[str, object]], bool],
+) -> None:
+    """Train until ``counters.episode`` reaches ``episodes`` or ``end_of_episode`` returns true.
+
+    One gradient step per stored experience, taken while the arm carries out the next decision. An episode
+    ends after ``experiences_per_episode`` stored experiences; a success or a lost object only places a new object.
+    ``end_of_episode`` receives the episode's row of the log.
+    """
+    total = episodes * experiences_per_episode
+    while counters.episode < episodes:
+        began = time.perf_counter()
+        observation = env.reset(home=True)
+        noise.reset()
+        goal = replay.added + experiences_per_episode
+        losses: dict[str, float] = {}
+        episode_return, successes, object_losses, first_decision = 0.0, 0, 0, counters.decisions
+        first_experience = replay.added
+
+        while replay.added < goal and counters.decisions < first_decision + max_decisions_per_episode:
+            action = np.clip(policy.act(observation) + noise(replay.added / total), -1.0, 1.0, dtype=np.float32)
+            env.send(action)
+            while counters.updates < replay.added - warmup_experiences:
+                losses = agent.update(replay.sample(batch_size))
+                counters.updates += 1
+            next_observation, reward, terminated, truncated, info = env.receive()
+
+            if admission.admits(info["clipped"], info["travel_rad"]):
+                replay.add(observation, action, reward, next_observation, terminated)
+            counters.decisions += 1
+            counters.control_steps += info["control_steps"]
+            episode_return += reward
+            successes += terminated
+            object_losses += info["object_lost"]
+            observation = env.reset(home=False) if terminated or truncated else next_observation
+
+        counters.episode += 1
+        counters.wall_s += time.perf_counter() - began
+        row: dict[str, object] = {
+            "episode": counters.episode,
+            "experiences": replay.added,
+            "control_steps": counters.control_steps,
+            "updates": counters.updates,
+            "admission_rate": (replay.added - first_experience) / (counters.decisions - first_decision),
+            "episode_return": episode_return,
+            "wall_s": round(counters.wall_s, 3),
+            "decisions": counters.decisions,
+            "successes": successes,
+            "object_losses": object_losses,
+        }
+        if end_of_episode(row | losses):
+            return
