@@ -38,7 +38,7 @@ def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) ->
             shutil.rmtree(stale)
     temporary.mkdir()
     parts = {
-        "arrays.safetensors": save({name: np.ascontiguousarray(array) for name, array in arrays.items()}),
+        "arrays.safetensors": save({name: np.asarray(array, order="C") for name, array in arrays.items()}),
         "state.json": json.dumps(state, sort_keys=True).encode(),
     }
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in parts.items()}

@@ -520,6 +520,7 @@ def _run_many(command: str, overrides: list[str]) -> None:
             print(f"failed: {_explain(error)[0]}", file=sys.stderr)
             raise
 
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come through to main(), which explains them
     sys.argv = [sys.argv[0], "--multirun", *overrides]
     hydra.main(config_path="pkg://uarm_rl.conf", config_name=command, version_base="1.3")(task)()
 

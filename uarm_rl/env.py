@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -47,7 +47,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ``trace``, an array of shape (control_steps, 9) with the columns ``TRACE_COLUMNS``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array", "rgb_array_list"], "render_fps": 20}
+    metadata = {"render_modes": ["human", "rgb_array", "rgb_array_list"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's own form)
 
     def __init__(
         self,
@@ -202,3 +202,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
 def _travel(start: JointPositions, end: JointPositions) -> float:
     return max(abs(end[0] - start[0]), abs(end[1] - start[1]), abs(end[2] - start[2]))
+
+
+# Importing this module is what makes ``gymnasium.make("uarm_rl/UArmSuction-v0")`` work.
+gymnasium.register(id="uarm_rl/UArmSuction-v0", entry_point="uarm_rl.cli:make_env")

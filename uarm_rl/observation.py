@@ -23,12 +23,12 @@ SIZE: Final = len(NAMES)
 
 #: Fixed scaling to about unit range, ``(observation - OFFSET) / SCALE``: centre and half range of each number over
 #: the workspace. The end of link1 keeps its height, hence the scale of 1 there. The vector to the object gets the
-#: finer scale of 0.1 m: it is the number that has to be read to a millimetre.
+#: finer scale of 0.04 m: it is the number that has to be read to a millimetre.
 OFFSET: Final[NDArray[np.float32]] = np.array(
     [0.007, 0, 0.107, 0.08, 0, 0.18, 0.18, 0, 0.15, 0.24, 0, 0.08, 0, 0, 0, 0, 0.3, 0.3, -0.6, 0], np.float32
 )
 SCALE: Final[NDArray[np.float32]] = np.array(
-    [0.014, 0.014, 1, 0.1, 0.1, 0.08, 0.15, 0.2, 0.12, 0.15, 0.3, 0.12, 0.1, 0.1, 0.1, 1.2, 0.8, 0.8, 0.8, 1], np.float32
+    [0.014, 0.014, 1, 0.1, 0.1, 0.08, 0.15, 0.2, 0.12, 0.15, 0.3, 0.12, 0.04, 0.04, 0.04, 1.2, 0.8, 0.8, 0.8, 1], np.float32
 )
 
 CUP: Final = slice(9, 12)

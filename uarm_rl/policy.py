@@ -20,7 +20,7 @@ from uarm_rl import kinematics, observation
 Array = NDArray[np.float32]
 Layers = Sequence[tuple[Array, Array]]
 
-_FORMAT = "uarm-rl policy 1"
+_FORMAT = "uarm-rl policy 1"  # the one key of the file's metadata: with two, their order would be random
 _MAX_BYTES = 64 * 1024 * 1024
 
 
@@ -76,7 +76,7 @@ class ActorPolicy:
             tensors[f"weight{number}"], tensors[f"bias{number}"] = weight, bias
         data = save(
             {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()},
-            metadata={"format": _FORMAT, "policy": json.dumps(self.metadata, sort_keys=True)},
+            metadata={_FORMAT: json.dumps(self.metadata, sort_keys=True)},
         )
         temporary = path.with_name(path.name + ".tmp")
         with open(temporary, "wb") as file:
@@ -97,9 +97,9 @@ class ActorPolicy:
         try:
             tensors = load(data)
             header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
-            if header["format"] != _FORMAT:
-                raise PolicyFileError(f"{path} is no policy of uarm-rl: its format is {header['format']!r}")
-            metadata = json.loads(header["policy"])
+            if _FORMAT not in header:
+                raise PolicyFileError(f"{path} is no policy of uarm-rl: its format is {', '.join(header)}, not {_FORMAT}")
+            metadata = json.loads(header[_FORMAT])
             count = sum(name.startswith("weight") for name in tensors)
             layers = [(tensors[f"weight{number}"], tensors[f"bias{number}"]) for number in range(count)]
             policy = cls(layers, offset=tensors["offset"], scale=tensors["scale"], metadata=metadata)

@@ -66,8 +66,8 @@ class SecondOrder:
 class Instant:
     """Reaches every reference within one control step: where waiting for a steady state must stop to matter."""
 
-    def __init__(self, *, control_hz: float) -> None:
-        self._period_s = 1.0 / checks.number("control_hz", control_hz, low=0.0, open_low=True)
+    def __init__(self, *, reach_time_s: float) -> None:
+        self._reach_time_s = checks.number("servo.reach_time_s", reach_time_s, low=0.0, open_low=True)
         self._reference: JointPositions = (0.0, 0.0, 0.0)
         self._left_s = 0.0
 
@@ -75,7 +75,7 @@ class Instant:
         self._reference, self._left_s = joints, 0.0
 
     def command(self, reference: JointPositions, joints: JointPositions) -> None:
-        self._reference, self._left_s = reference, self._period_s
+        self._reference, self._left_s = reference, self._reach_time_s
 
     def velocity(self, joints: JointPositions, velocity: JointPositions, dt: float) -> JointPositions:
         left_s = max(self._left_s, dt)

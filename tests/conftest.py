@@ -1,0 +1,62 @@
+"""Small things that several tests build: a fast configuration, the environment, a command line."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from uarm_rl import cli
+from uarm_rl.env import UArmSuctionEnv
+
+#: A training of seconds: small networks, short episodes, short validation.
+FAST = (
+    "episodes=4",
+    "experiences_per_episode=25",
+    "max_decisions_per_episode=100",
+    "warmup_experiences=25",
+    "batch_size=16",
+    "agent.hidden=[32,32]",
+    "validate_every=2",
+    "checkpoint_every=2",
+    "time_limit_s=0.5",
+)
+
+MakeEnv = Callable[..., UArmSuctionEnv]
+
+
+@pytest.fixture
+def make_env() -> Iterator[MakeEnv]:
+    """Build environments from command-line overrides; they are closed after the test."""
+    made: list[UArmSuctionEnv] = []
+
+    def make(*overrides: str, **arguments: object) -> UArmSuctionEnv:
+        settings = cli.compose("train", overrides)
+        arguments = {"time_limit_s": settings["time_limit_s"]} | arguments
+        made.append(cli.build_env(settings, **arguments))
+        return made[-1]
+
+    yield make
+    for env in made:
+        with closing(env):
+            pass
+
+
+def uarm_rl(
+    *words: str, cwd: Path, environment: dict[str, str] | None = None, timeout_s: float = 120
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own, as a user would, in the folder ``cwd``."""
+    return subprocess.run(
+        [sys.executable, "-m", "uarm_rl.cli", *words],
+        cwd=cwd,
+        env=os.environ | (environment or {}),
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )

@@ -1,0 +1,229 @@
+"""The command line as a user meets it: whole runs, help, completion, errors; each in a process of its own."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import FAST, uarm_rl
+
+METHODS = {"A": "adaptive-plain", "B": "uniform-plain", "C": "adaptive-penalty", "D": "uniform-penalty"}
+QUICK = (*FAST, "episodes=2", "time_limit_s=0.3", "simulate_beside=false")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Path:
+    """A folder with a trained and evaluated run of methods B and C."""
+    folder = tmp_path_factory.mktemp("user")
+    done = uarm_rl("train", "-m", "experiment=B,C", *QUICK, cwd=folder)
+    assert (done.returncode, "error" in done.stderr) == (0, False), done.stderr
+    done = uarm_rl("evaluate", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("of 100 positions reached") == 2
+    return folder
+
+
+@pytest.fixture
+def copied(trained, tmp_path) -> Path:
+    """A copy of the trained folder that a test may spoil."""
+    shutil.copytree(trained / "results", tmp_path / "results")
+    return tmp_path
+
+
+def assert_refused(done, code: int, *parts: str) -> None:
+    assert done.returncode == code, done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    for part in parts:
+        assert part in lines[0], lines[0]
+
+
+def test_a_run_holds_its_files(trained):
+    for method in ("B", "C"):
+        run = trained / "results" / METHODS[method] / "seed0"
+        names = {path.name for path in run.iterdir()}
+        assert {"config.yaml", "progress.csv", "policy.safetensors", "evaluation.csv"} <= names
+        with open(run / "evaluation.csv", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [int(row["position"]) for row in rows] == list(range(100))
+        columns = "position,success,return,common_return,time_s,final_distance_m,min_distance_m,object_displacement_m"
+        assert list(rows[0])[:11] == [*columns.split(","), "reversals_per_s", "rms_jerk", "tip_travel_last_s_m"]
+
+
+def test_evaluating_again_gives_the_same_bytes(trained):
+    run = "results/adaptive-penalty/seed0"
+    done = uarm_rl("evaluate", f"run={run}", "out=again.csv", "workers=1", cwd=trained)
+    assert done.returncode == 0, done.stderr
+    assert (trained / "again.csv").read_bytes() == (trained / run / "evaluation.csv").read_bytes()
+
+
+def test_everything_evaluated_is_nothing_to_do(trained):
+    done = uarm_rl("evaluate", cwd=trained)
+    assert (done.returncode, "evaluated already" in done.stdout) == (0, True)
+
+
+def test_positions_of_ones_own(trained):
+    (trained / "mine.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.25,-0.1,0.03\n")
+    run = "run=results/uniform-plain/seed0"
+    assert_refused(uarm_rl("evaluate", run, "positions=mine.csv", cwd=trained), 2, "give out=FILE")
+    done = uarm_rl("evaluate", run, "positions=mine.csv", "tolerance_m=0.02", "out=mine-out.csv", cwd=trained)
+    assert "of 2 positions reached" in done.stdout, done.stderr
+
+
+def test_the_report_is_rebuilt_from_csv_files(copied):
+    for path in copied.rglob("policy.safetensors"):
+        path.unlink()
+    done = uarm_rl("report", cwd=copied)
+    assert done.returncode == 0, done.stderr
+    results = copied / "results"
+    for name in ("table1.csv", "table1.md", "reward_curve.csv", "reward_curve.png", "learning_curves.png"):
+        assert (results / name).stat().st_size > 0
+    with open(results / "table1.csv", newline="") as file:
+        rows = {row["method"]: row for row in csv.DictReader(file)}
+    assert rows["C"]["seeds"] == "1"
+    assert rows["C"]["paper_success_rate"] not in ("", None)
+    assert rows["A"]["success_rate"] == ""  # not trained, so not invented
+    tables = (results / "table1.csv").read_bytes(), (results / "reward_curve.csv").read_bytes()
+    assert uarm_rl("report", cwd=copied).returncode == 0
+    assert tables == ((results / "table1.csv").read_bytes(), (results / "reward_curve.csv").read_bytes())
+
+
+def test_a_film(trained):
+    run = "run=results/adaptive-penalty/seed0"
+    done = uarm_rl("render", run, "position=[0.25,0.1,0.03]", "width=96", "height=64", "out=film.gif", cwd=trained)
+    assert done.returncode == 0, done.stderr
+    from PIL import Image
+
+    with Image.open(trained / "film.gif") as film:
+        assert film.n_frames >= 3  # equal ones are merged
+        assert film.size == (96, 64)
+    assert_refused(uarm_rl("render", run, "out=film.avi", cwd=trained), 2, "must end in .gif or .mp4")
+
+
+def test_help_explains(tmp_path):
+    overview = uarm_rl("--help", cwd=tmp_path).stdout
+    assert all(f"  {command} " in overview for command in ("train", "evaluate", "report", "render"))
+    text = uarm_rl("train", "--help", cwd=tmp_path).stdout
+    for part in ("Examples:", "experiment", "A, B, C, D", "tolerance_m: 0.005  # m;", "results_dir: results"):
+        assert part in text
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_and_report_load_neither_torch_nor_pybullet(trained):
+    code = (
+        "import sys; from uarm_rl import cli; sys.argv = ['uarm-rl', *sys.argv[1:]]; cli.main(); "
+        "print({'torch', 'pybullet', 'hydra'} & set(sys.modules) - ({'hydra'} if 'report' in sys.argv else set()))"
+    )
+    import subprocess
+    import sys
+
+    for words in (["--help"], ["report"], ["train", "--help"]):
+        done = subprocess.run([sys.executable, "-c", code, *words], cwd=trained, capture_output=True, text=True, check=True)
+        assert done.stdout.splitlines()[-1] == "set()", words
+
+
+def test_the_whole_configuration_can_be_seen(tmp_path):
+    text = uarm_rl("train", "--cfg", "job", "agent.gamma=0.5", cwd=tmp_path).stdout
+    assert "gamma: 0.5" in text
+    assert "name: adaptive-penalty" in text
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("uarm-rl tr", {"train"}),
+        ("uarm-rl train buffer=ad", {"buffer=adaptive"}),
+        ("uarm-rl train experiment=un", {"experiment=unstuck_only"}),
+        ("uarm-rl evaluate hold=un", {"hold=until_steady"}),
+    ],
+)
+def test_the_shell_completes(tmp_path, line, expected):
+    done = uarm_rl("-sc", "query=bash", cwd=tmp_path, environment={"COMP_LINE": line})
+    assert set(done.stdout.split()) == expected, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "parts"),
+    [
+        (["trian"], 2, ["there is no command 'trian'", "did you mean train?"]),
+        (["xyz"], 2, ["choose one of train, evaluate"]),
+        (["train", "agent.gama=0.5"], 2, ["no setting 'agent.gama'"]),
+        (["train", "bufer=adaptive"], 2, ["no setting 'bufer'"]),
+        (["train", "buffer=adaptve"], 2, ["no 'buffer/adaptve'", "uniform"]),
+        (["train", "agent.gamma=2"], 2, ["agent.gamma must be a number from 0 to 1, got 2"]),
+        (["train", "episodes=0"], 2, ["episodes must be a whole number of at least 1, got 0"]),
+        (["train", "seed=abc"], 2, ["seed must be a whole number"]),
+        (["train", "tolerance_m=-1"], 2, ["tolerance_m must be a number above 0"]),
+        (["train", "a b"], 2, ["cannot be read", "name=value"]),
+        (["train", "+x=1"], 2, ["adds or removes a setting"]),
+        (["train", "--config-dir=."], 2, ["is no option"]),
+        (["train", "hydra.run.dir=/tmp"], 2, ["is not for the command line"]),
+        (["train", "results_dir=/dev/null/x"], 1, ["/dev/null"]),
+        (["evaluate"], 2, ["results holds no trained run", "uarm-rl train"]),
+        (["evaluate", "run=nowhere"], 2, ["there is no run folder nowhere"]),
+        (["evaluate", "policy=magic"], 2, ["results holds no trained run"]),
+        (["evaluate", "policy=ik", "positions=none.csv", "out=x.csv"], 1, ["none.csv", "No such file"]),
+        (["report"], 1, ["results"]),
+        (["report", "results_dir=nowhere"], 1, ["nowhere"]),
+        (["render"], 2, ["run=VALUE is needed"]),
+    ],
+)
+def test_bad_command_lines_get_one_sentence_and_change_nothing(tmp_path, words, code, parts):
+    assert_refused(uarm_rl(*words, cwd=tmp_path), code, *parts)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_spoiled_run_folders_are_named(copied):
+    run = copied / "results" / "adaptive-penalty" / "seed0"
+    words = ("evaluate", f"run={run}", "overwrite=true")
+    before = (run / "evaluation.csv").read_bytes()
+    policy = (run / "policy.safetensors").read_bytes()
+    (run / "policy.safetensors").write_bytes(policy[: len(policy) // 2])
+    assert_refused(uarm_rl(*words, cwd=copied), 1, "policy.safetensors", "truncated, damaged or no policy")
+    (run / "policy.safetensors").unlink()
+    assert_refused(uarm_rl(*words, cwd=copied), 2, "its training is not finished")
+    (run / "config.yaml").write_text("buffer: [")
+    assert_refused(uarm_rl(*words, cwd=copied), 2, "config.yaml is damaged")
+    (run / "config.yaml").write_text("!!python/object/apply:os.system ['echo pwned']")
+    assert_refused(uarm_rl(*words, cwd=copied), 2, "config.yaml is damaged")
+    (run / "config.yaml").write_text("[]")
+    assert_refused(uarm_rl(*words, cwd=copied), 2, "config.yaml lacks sim")
+    assert (run / "evaluation.csv").read_bytes() == before
+
+
+def test_a_nan_position_is_named_with_its_line(copied):
+    (copied / "bad.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.2,nan,0.03\n")
+    words = ("evaluate", "run=results/uniform-plain/seed0", "positions=bad.csv", "out=x.csv")
+    assert_refused(uarm_rl(*words, cwd=copied), 2, "bad.csv, line 3", "cannot reach")
+    assert not (copied / "x.csv").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_a_read_only_folder_is_named(copied):
+    run = copied / "results" / "uniform-plain" / "seed0"
+    (run / "evaluation.csv").unlink()
+    run.chmod(0o500)
+    try:
+        assert_refused(uarm_rl("evaluate", cwd=copied), 1, "evaluation.csv", "Permission denied")
+    finally:
+        run.chmod(0o700)
+
+
+def test_a_finished_run_is_refused_and_kept(trained):
+    run = trained / "results" / "adaptive-penalty" / "seed0"
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert_refused(uarm_rl("train", "experiment=C", *QUICK, cwd=trained), 1, "already holds a finished run", "overwrite=true")
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_a_failing_job_does_not_stop_the_others(tmp_path):
+    done = uarm_rl("train", "-m", "experiment=C", "agent.gamma=2,0.9", "name=gamma-${agent.gamma}", *QUICK, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "failed: agent.gamma must be" in done.stderr
+    assert (tmp_path / "results" / "gamma-0.9" / "seed0" / "policy.safetensors").exists()
+    assert "Traceback" not in done.stderr

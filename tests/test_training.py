@@ -1,0 +1,152 @@
+"""Training through the command line's own functions: determinism, resume, folders."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import FAST
+from uarm_rl import checkpoint, cli
+from uarm_rl.session import RunFolderError
+
+
+def train(results: Path, *overrides: str) -> Path:
+    settings = cli.compose("train", (*FAST, f"results_dir={results}", "simulate_beside=false", *overrides))
+    cli.train(settings)
+    return results / settings["name"] / f"seed{settings['seed']}"
+
+
+def outcome(run: Path) -> dict[str, object]:
+    """What must be identical: the policy's bytes, and the log without its wall time."""
+    with open(run / "progress.csv", newline="") as file:
+        rows = [{key: value for key, value in row.items() if key != "wall_s"} for row in csv.DictReader(file)]
+    return {"policy": (run / "policy.safetensors").read_bytes(), "progress": rows}
+
+
+def interrupt_after(monkeypatch: pytest.MonkeyPatch, episode: int) -> None:
+    """Send this process a Ctrl-C at the end of an episode, as a user would."""
+    write = checkpoint.write
+
+    def write_and_interrupt(run_dir, at, arrays, state):
+        write(run_dir, at, arrays, state)
+        if at == episode:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(checkpoint, "write", write_and_interrupt)
+
+
+@pytest.mark.parametrize("method", ["buffer=uniform", "buffer=adaptive"])
+def test_the_same_seed_trains_the_same_policy(tmp_path, method):
+    first = outcome(train(tmp_path / "a", method))
+    assert first == outcome(train(tmp_path / "b", method))
+    assert first != outcome(train(tmp_path / "c", method, "seed=1"))
+    rows = first["progress"]
+    assert [int(row["episode"]) for row in rows] == [1, 2, 3, 4]
+    assert [int(row["experiences"]) for row in rows] == [25, 50, 75, 100]
+    assert [row["validation_success_rate"] != "" for row in rows] == [False, True, False, True]
+    assert all(0 < float(row["admission_rate"]) <= 1 for row in rows)
+
+
+def test_one_gradient_step_per_experience_after_the_warm_up(tmp_path):
+    rows = outcome(train(tmp_path))["progress"]
+    # The step for an experience is taken while the next decision is carried out, hence one behind.
+    assert [int(row["updates"]) for row in rows] == [0, 24, 49, 74]
+
+
+def test_simulating_beside_gives_the_same_numbers(tmp_path):
+    inline = outcome(train(tmp_path / "a"))
+    settings = cli.compose("train", (*FAST, f"results_dir={tmp_path / 'b'}", "simulate_beside=true"))
+    cli.train(settings)
+    assert outcome(tmp_path / "b" / settings["name"] / "seed0") == inline
+
+
+@pytest.mark.parametrize("method", ["buffer=uniform", "buffer=adaptive"])
+def test_an_interrupted_and_resumed_run_ends_as_an_uninterrupted_one(tmp_path, monkeypatch, method, capsys):
+    whole = outcome(train(tmp_path / "whole", method))
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, episode=2)
+        with pytest.raises(SystemExit) as stopped:
+            train(tmp_path / "parts", method)
+    assert stopped.value.code == 130
+    assert "resume=true continues it" in capsys.readouterr().out
+    run = train(tmp_path / "parts", method, "resume=true")
+    assert outcome(run) == whole
+
+
+def test_resuming_a_finished_run_changes_nothing(tmp_path, capsys):
+    run = train(tmp_path)
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    train(tmp_path, "resume=true")
+    assert "finished; nothing to do" in capsys.readouterr().out
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_a_finished_run_is_not_overwritten_unasked(tmp_path):
+    run = train(tmp_path)
+    before = outcome(run)
+    with pytest.raises(RunFolderError, match="already holds a finished run; resume=true .* overwrite=true"):
+        train(tmp_path)
+    assert outcome(run) == before
+    train(tmp_path, "overwrite=true", "episodes=1")
+    assert len(outcome(run)["progress"]) == 1
+
+
+def test_an_interrupted_run_is_not_resumed_with_another_configuration(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        interrupt_after(patch, episode=2)
+        train(tmp_path)
+    with pytest.raises(RunFolderError, match="another configuration"):
+        train(tmp_path, "resume=true", "agent.gamma=0.8")
+
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    run = tmp_path / "adaptive-penalty" / "seed0"
+    run.mkdir(parents=True)
+    hold = (
+        "import fcntl, sys; lock = open(sys.argv[1], 'w'); fcntl.flock(lock, fcntl.LOCK_EX); print('held', flush=True); input()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(run / ".lock")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(RunFolderError, match="another process is training"):
+            train(tmp_path)
+        other.communicate("\n")
+
+
+def test_an_episode_ends_although_nothing_is_admitted(tmp_path):
+    """An arm that always pushes against a limit must not train for ever."""
+    run = train(
+        tmp_path, "buffer.admission.stuck_threshold_rad=3", "max_delta_rad=3.1", "max_decisions_per_episode=40", "episodes=2"
+    )
+    rows = outcome(run)["progress"]
+    assert int(rows[-1]["decisions"]) <= 80
+    assert float(rows[-1]["admission_rate"]) < 0.6
+
+
+def test_a_dead_simulator_is_named(tmp_path):
+    import numpy as np
+
+    from uarm_rl.arm import ArmError
+    from uarm_rl.pipeline import SubprocessEnv
+
+    env = SubprocessEnv(_explode, 0)
+    with pytest.raises(ArmError, match="the motors are on strike"):
+        env.reset(home=True)
+    env._process.kill()
+    env._process.join()
+    with pytest.raises(ArmError, match="has died"):
+        env.send(np.zeros(3, np.float32))
+        env.receive()
+    env.close()
+
+
+def _explode():
+    from uarm_rl.arm import ArmError
+
+    raise ArmError("the motors are on strike")
