@@ -24,6 +24,9 @@ check: $(VENV)/.installed-dev  ## formatting, lint and types
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side; about 10 minutes
+	$(BIN)/python benchmarks/bench.py
+
 $(VENV)/bin/python:
 	@[ -n "$(PYTHON)" ] || { echo "uarm-rl needs Python 3.10 or 3.11 (PyBullet has no wheels for others): install one, or name it with PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
@@ -40,6 +43,10 @@ $(VENV)/.installed-test: $(VENV)/.installed
 
 $(VENV)/.installed-dev: $(VENV)/.installed-test
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.installed-bench: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bench]'
 	@touch $@
 
 clean:

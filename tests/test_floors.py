@@ -15,7 +15,19 @@ FLOORS = {
     0: {"checks", "kinematics", "observation", "reward", "hold", "admission", "positions"},
     1: {"replay", "noise", "policy", "arm", "real.gcode"},
     2: {"ddpg", "env", "rollout", "pipeline", "sim", "real"},
-    3: {"train", "session", "evaluate", "report", "figures", "statistics", "checkpoint", "logbook", "render", "emulator"},
+    3: {
+        "train",
+        "session",
+        "evaluate",
+        "report",
+        "figures",
+        "statistics",
+        "checkpoint",
+        "logbook",
+        "render",
+        "usage",
+        "emulator",
+    },
     4: {"cli"},
 }
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from uarm_rl.kinematics import Vector
+if TYPE_CHECKING:
+    from uarm_rl.kinematics import Vector
 
 JointPositions = tuple[float, float, float]
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import difflib
 import os
-import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from uarm_rl.usage import COMMANDS, OVERVIEW, UsageError, explain, help_text
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -23,56 +23,6 @@ if TYPE_CHECKING:
     from uarm_rl.policy import Policy
 
 Settings = dict[str, Any]
-
-COMMANDS: Final = {
-    "train": "train one policy, or many with -m",
-    "evaluate": "test trained policies on the 100 fixed positions",
-    "report": "rebuild Table 1 and the figures from the CSV files in results/",
-    "render": "film a policy as GIF or MP4",
-}
-
-EXAMPLES: Final = {
-    "train": (
-        "uarm-rl train experiment=C episodes=100             method C of the paper, for a short budget",
-        "uarm-rl train buffer=adaptive reward=penalty seed=1 the same method, chosen by its parts",
-        "uarm-rl train -m experiment=A,B,C,D seed=0,1,2      twelve runs; resume=true skips and continues",
-    ),
-    "evaluate": (
-        "uarm-rl evaluate                                    every trained run that has no evaluation yet",
-        "uarm-rl evaluate policy=ik                          the inverse-kinematics controller, as a reference",
-        "uarm-rl evaluate run=results/adaptive-penalty/seed0 tolerance_m=0.002 out=strict.csv",
-    ),
-    "report": (
-        "uarm-rl report                                      table1.md, table1.csv and the pictures in results/",
-        "uarm-rl report results_dir=demo                     the same for another folder of runs",
-    ),
-    "render": (
-        "uarm-rl render run=results/adaptive-penalty/seed0   episode.gif in the run's folder",
-        "uarm-rl render run=results/uniform-plain/seed0 position=[0.25,0.1,0.03] out=shaking.gif",
-        "uarm-rl render run=results/adaptive-penalty/seed0 policy=ik out=ik.gif",
-    ),
-}
-
-OVERVIEW: Final = """\
-uarm-rl: train a uArm Swift Pro to bring its suction cup to an object, in simulation and on the desk.
-
-usage: uarm-rl COMMAND [name=value ...] [-m]
-
-{commands}
-
-  uarm-rl train experiment=C episodes=100      method C of the paper, for a short budget
-  uarm-rl train -m experiment=A,B,C,D seed=0,1 eight runs, one after the other
-  uarm-rl evaluate && uarm-rl report           test every trained run, then the table and the pictures
-
-uarm-rl COMMAND --help   what the command does, its groups and values
-uarm-rl --version        the version
-eval "$(uarm-rl -sc install=bash)"   completion of commands, groups and values in bash
-"""
-
-
-class UsageError(Exception):
-    """The command line asks for something that does not exist; the message is a sentence."""
-
 
 # ------------------------------------------------------------------------------------------ from names to objects
 
@@ -226,7 +176,8 @@ def train(settings: Settings) -> None:
     # Everything is built, and so every value checked, before the folder is touched.
     make_training_env = partial(build_env, settings, time_limit_s=None)
     validation_env = build_env(settings, time_limit_s=settings["time_limit_s"])
-    agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=torch.Generator().manual_seed(network_seed))
+    networks = torch.Generator().manual_seed(network_seed)
+    agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=networks)
     replay = ReplayBuffer(
         settings["buffer"]["capacity"],
         observation_size=SIZE,
@@ -241,6 +192,10 @@ def train(settings: Settings) -> None:
     transient = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
     config = yaml.safe_dump({key: value for key, value in settings.items() if key not in transient}, sort_keys=False)
     with session.claim(run_dir, config, resume=settings["resume"], overwrite=settings["overwrite"]):
+        spare = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=torch.Generator())
+        seconds = session.estimate_s(schedule, spare, validation_env, beside=settings["simulate_beside"])
+        experiences = schedule.episodes * schedule.experiences_per_episode
+        print(f"{run_dir}: {experiences:,} decisions and gradient steps in all, about {max(1, round(seconds / 60))} min")
         env = (SubprocessEnv if settings["simulate_beside"] else InlineEnv)(make_training_env, env_seed)
         try:
             finished = session.run(
@@ -435,26 +390,32 @@ def render(settings: Settings) -> None:
 def main() -> None:
     """Run the command that ``sys.argv`` names. Exit codes: 0 done, 1 it failed, 2 the command line is wrong."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: one observation is no work for two threads
-    words = sys.argv[1:]
-    if _completes(words):
-        return
-    if not words or words[0] in ("-h", "--help"):
-        print(OVERVIEW.format(commands="\n".join(f"  {name:9} {text}" for name, text in COMMANDS.items())))
-        return
-    if words[0] == "--version":
-        from uarm_rl import __version__
-
-        print(f"uarm-rl {__version__}")
-        return
     try:
-        _check_words(words)
-        _run(words[0], words[1:])
+        _dispatch(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader, `head` say, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
     except KeyboardInterrupt:
         _fail("interrupted; what was saved before is whole", 130)
     except Exception as error:
         if os.environ.get("UARM_RL_TRACEBACK"):
             raise
-        _fail(*_explain(error))
+        _fail(*explain(error))
+
+
+def _dispatch(words: list[str]) -> None:
+    if _completes(words):
+        return
+    if not words or words[0] in ("-h", "--help"):
+        print(OVERVIEW.format(commands="\n".join(f"  {name:9} {text}" for name, text in COMMANDS.items())))
+    elif words[0] == "--version":
+        from uarm_rl import __version__
+
+        print(f"uarm-rl {__version__}")
+    else:
+        _check_words(words)
+        _run(words[0], words[1:])
 
 
 def _fail(sentence: str, code: int) -> None:
@@ -490,7 +451,7 @@ def _is_job_count(word: str) -> bool:
 
 def _run(command: str, words: list[str]) -> None:
     if {"-h", "--help"} & set(words):
-        print(_help(command))
+        print(help_text(command))
     elif {"-c", "--cfg"} & set(words):
         import yaml
 
@@ -517,59 +478,12 @@ def _run_many(command: str, overrides: list[str]) -> None:
         try:
             _task(command)(_plain(cfg))
         except Exception as error:
-            print(f"failed: {_explain(error)[0]}", file=sys.stderr)
+            print(f"failed: {explain(error)[0]}", file=sys.stderr)
             raise
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come through to main(), which explains them
     sys.argv = [sys.argv[0], "--multirun", *overrides]
     hydra.main(config_path="pkg://uarm_rl.conf", config_name=command, version_base="1.3")(task)()
-
-
-def _help(command: str) -> str:
-    """What a command does, its groups with their choices, and its configuration file, whose comments explain each key."""
-    conf = resources.files("uarm_rl.conf")
-    defaults, values = (conf / f"{command}.yaml").read_text(encoding="utf-8").split("\n\n", 1)
-    lines = [f"uarm-rl {command}: {COMMANDS[command]}", "", "Examples:", *(f"  {line}" for line in EXAMPLES[command])]
-    groups = [line.split()[1].rstrip(":") for line in defaults.splitlines() if line.startswith("  - ") and ": " in line]
-    if groups:
-        lines += ["", "Groups (group=choice picks one, group.key=value changes a value in it; --cfg job shows all):"]
-    for group in groups:
-        folder = group.partition("@")[0]
-        names = sorted(path.name.removesuffix(".yaml") for path in (conf / folder).iterdir() if path.name.endswith(".yaml"))
-        lines.append(f"  {group:21} {', '.join(names)}")
-    shared = (conf / "command.yaml").read_text(encoding="utf-8")
-    shared_values = [line for line in shared.splitlines() if line.startswith("results_dir")]
-    return "\n".join([*lines, "", "Values (key=value):", *(f"  {line}" for line in [*shared_values, *values.splitlines()])])
-
-
-def _explain(error: Exception) -> tuple[str, int]:
-    """A sentence and an exit code for an exception: 2 for a wrong command line, 1 for a command that failed."""
-    from uarm_rl.arm import ArmError
-
-    sentence = " ".join(str(error).split()) or type(error).__name__
-    module = type(error).__module__
-    if module.startswith(("hydra", "omegaconf")):
-        return _explain_override(sentence), 2
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}; check the path, its permissions and the free space", 1
-    if isinstance(error, UsageError) or type(error) is ValueError:
-        return sentence, 2
-    if isinstance(error, (ValueError, ArmError)) or module.startswith("uarm_rl"):
-        return sentence, 1
-    return f"{type(error).__name__}: {sentence}; this is a bug, UARM_RL_TRACEBACK=1 shows where", 1
-
-
-def _explain_override(sentence: str) -> str:
-    """Hydra's own sentence without what only its developers need."""
-    if match := re.search(r"Could not override '([^']+)'", sentence):
-        return f"there is no setting {match[1]!r}; --help and --cfg job list the settings"
-    if match := re.search(r"Could not find '([^']+)' Available options in '([^']+)': (.*?) Config search path", sentence):
-        return f"there is no {match[1]!r}; {match[2]} is one of {match[3].replace(' ', ', ')}"
-    if match := re.search(r"No match in the defaults list for '([^']+)'|Could not override '([^']+)'\. No match", sentence):
-        return f"there is no group or setting {match[1] or match[2]!r}; --help lists what there is"
-    if re.search(r"Lexer|no viable alternative|mismatched|extraneous|token", sentence):
-        return f"an override cannot be read ({sentence.split(' See https')[0]}); write name=value, lists as [1,2,3]"
-    return f"{sentence.split(' Config search path')[0].split(' See https')[0]}; --help lists what there is"
 
 
 def _completes(words: list[str]) -> bool:

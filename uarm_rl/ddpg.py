@@ -31,6 +31,7 @@ class Network:
         self.layers = self._views(sizes, parameters)
         self._gradients = [] if gradient is None else self._views(sizes, gradient)
         self._inputs: list[Tensor] = []
+        self._buffers: dict[tuple[str, int], Tensor] = {}
 
     @staticmethod
     def size(sizes: Sequence[int]) -> int:
@@ -55,13 +56,13 @@ class Network:
             bias.uniform_(-bound, bound, generator=generator)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Output for a batch, shape (n, outputs). The layers' inputs are kept for ``backward``."""
+        """Output for a batch, shape (n, outputs), valid until the next call; the layers' inputs are kept for ``backward``."""
         self._inputs = []
-        for weight, bias in self.layers:
-            if self._inputs:
+        for number, (weight, bias) in enumerate(self.layers):
+            if number:
                 x.relu_()
             self._inputs.append(x)
-            x = torch.addmm(bias, x, weight)
+            x = torch.addmm(bias, x, weight, out=self._buffer("forward", number, len(x), weight.shape[1]))
         return x
 
     def backward(self, gradient: Tensor) -> None:
@@ -81,9 +82,18 @@ class Network:
 
     def _through(self, number: int, gradient: Tensor) -> Tensor:
         """From the output of layer ``number`` to the output of the layer before, across its ReLU."""
-        gradient = torch.mm(gradient, self.layers[number][0].t())
-        through: Tensor = torch.ops.aten.threshold_backward(gradient, self._inputs[number], 0)
-        return through
+        weight = self.layers[number][0]
+        buffer = self._buffer("backward", number, len(gradient), weight.shape[0])
+        torch.mm(gradient, weight.t(), out=buffer)
+        torch.ops.aten.threshold_backward.grad_input(buffer, self._inputs[number], 0, grad_input=buffer)
+        return buffer
+
+    def _buffer(self, direction: str, number: int, rows: int, columns: int) -> Tensor:
+        """Memory for one layer's result, the same in every update: fresh pages from the system cost as much as a product."""
+        buffer = self._buffers.get((direction, number))
+        if buffer is None or len(buffer) != rows:
+            buffer = self._buffers[direction, number] = torch.empty(rows, columns)
+        return buffer
 
 
 class DDPG:

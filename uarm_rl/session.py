@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import fcntl
 import shutil
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,9 +18,10 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from uarm_rl import checkpoint, checks
+from uarm_rl import checkpoint, checks, observation
 from uarm_rl.admission import Admission
 from uarm_rl.ddpg import DDPG
+from uarm_rl.env import ACTION_SIZE, UArmSuctionEnv
 from uarm_rl.logbook import Logbook, replace_text
 from uarm_rl.noise import Noise
 from uarm_rl.pipeline import InlineEnv, SubprocessEnv
@@ -89,6 +91,33 @@ class Schedule:
         for name, value in asdict(self).items():
             checks.integer(name, value, low=0 if name == "warmup_experiences" else 1)
         checks.integer("max_decisions_per_episode", self.max_decisions_per_episode, low=self.experiences_per_episode)
+
+
+def estimate_s(schedule: Schedule, agent: DDPG, env: UArmSuctionEnv, *, beside: bool) -> float:
+    """How long the whole schedule will take (s), from a short trial of updates and decisions.
+
+    ``agent`` and ``env`` are spare ones: the trial changes them. Validations are not counted.
+    """
+    rows = np.zeros((schedule.batch_size, 2 * observation.SIZE + ACTION_SIZE + 2), np.float32)
+    replay = ReplayBuffer(
+        len(rows), observation_size=observation.SIZE, action_size=ACTION_SIZE, generator=np.random.default_rng(0)
+    )
+    replay.rows[:], replay.added = rows, len(rows)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, ACTION_SIZE)).astype(np.float32)
+    update_s = _median_time_s(lambda _: agent.update(replay.sample(schedule.batch_size)), range(20))
+    decision_s = _median_time_s(env.step, actions)
+    per_decision_s = max(update_s, decision_s) if beside else update_s + decision_s
+    return schedule.episodes * schedule.experiences_per_episode * per_decision_s
+
+
+def _median_time_s(work: Callable[[Any], object], arguments: Iterable[Any]) -> float:
+    times = []
+    for argument in arguments:
+        begin = time.perf_counter()
+        work(argument)
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times))
 
 
 def run(

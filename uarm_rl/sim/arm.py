@@ -191,7 +191,7 @@ class SimArm:
     def render(self, width: int, height: int) -> NDArray[np.uint8]:
         """An RGB picture, shape (height, width, 3), of cup and object from the side and above."""
         client = {"physicsClientId": self._client}
-        view = bullet.computeViewMatrixFromYawPitchRoll((0.17, 0.0, 0.07), 0.62, 52, -28, 0, 2, **client)
+        view = bullet.computeViewMatrixFromYawPitchRoll((0.17, 0.0, 0.06), 0.6, 60, -35, 0, 2, **client)
         projection = bullet.computeProjectionMatrixFOV(45, width / height, 0.05, 3.0, **client)
         picture = bullet.getCameraImage(
             width,

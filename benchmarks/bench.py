@@ -1,0 +1,368 @@
+"""Speed, as ratios measured side by side in one run: alternating rounds, medians, one thread each.
+
+    python benchmarks/bench.py [--quick]      (or: make bench)
+
+Prints a table and writes ``benchmarks/bench.csv``. What a user would pick instead is Stable-Baselines3's DDPG with the same
+networks, batch and optimiser; the floor of an update is its matrix products alone, and that of a simulation its bare
+``stepSimulation`` calls. Every ratio is "how many times the reference's rate", so more is better.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy
+
+import argparse
+import csv
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+import pybullet
+import stable_baselines3
+import torch
+from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
+
+import uarm_rl.env
+from uarm_rl import cli, observation, positions
+from uarm_rl.evaluate import evaluate
+from uarm_rl.pipeline import InlineEnv, SubprocessEnv
+from uarm_rl.policy import InverseKinematicsPolicy
+from uarm_rl.replay import ReplayBuffer
+from uarm_rl.train import Counters, train
+
+HERE = Path(__file__).parent
+BATCH = 128
+
+
+class Row(NamedTuple):
+    """One line of the table: rates per second (or seconds, or megabytes) of a subject and its reference."""
+
+    name: str
+    unit: str
+    ours: float
+    reference: float
+    reference_name: str
+    ratio: float
+    target: str
+
+
+def rate(work: Callable[[], object], count: int) -> float:
+    """How often per second ``work``, which does ``count`` things, does one."""
+    begin = time.perf_counter()
+    work()
+    return count / (time.perf_counter() - begin)
+
+
+def alternate(rounds: int, **work: tuple[Callable[[], object], int]) -> dict[str, float]:
+    """Median rate of each kind of work; a round runs them all once, so that a slow minute slows them all."""
+    rates: dict[str, list[float]] = {name: [] for name in work}
+    for _ in range(rounds + 1):
+        for name, (do, count) in work.items():
+            rates[name].append(rate(do, count))
+    return {name: statistics.median(values[1:]) for name, values in rates.items()}  # the first round warms up
+
+
+def compare(name: str, unit: str, rates: dict[str, float], target: str = "") -> list[Row]:
+    """Rows that hold the first kind of work against each of the others."""
+    (_, ours), *others = rates.items()
+    return [Row(name, unit, ours, reference, other.replace("_", " "), ours / reference, target) for other, reference in others]
+
+
+def repeat(work: Callable[[], object], count: int) -> tuple[Callable[[], None], int]:
+    def run() -> None:
+        for _ in range(count):
+            work()
+
+    return run, count
+
+
+def our_agent():
+    settings = cli.compose("train")
+    return cli.build("agent", settings["agent"], action_size=3, generator=torch.Generator().manual_seed(0))
+
+
+def our_replay(capacity: int = 50_000, filled: int = 20_000) -> ReplayBuffer:
+    replay = ReplayBuffer(capacity, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(0))
+    generator = np.random.default_rng(1)
+    replay.rows[:filled] = generator.normal(0, 0.1, (filled, replay.rows.shape[1]))
+    replay.added = filled
+    return replay
+
+
+def reference_agent(env: gymnasium.Env, replay: ReplayBuffer | None = None) -> stable_baselines3.DDPG:
+    noise = OrnsteinUhlenbeckActionNoise(np.zeros(3), 0.3 * np.ones(3))
+    agent = stable_baselines3.DDPG(
+        "MlpPolicy",
+        env,
+        learning_rate=1e-3,
+        buffer_size=50_000,
+        learning_starts=200,
+        batch_size=BATCH,
+        gamma=0.9,
+        train_freq=1,
+        gradient_steps=1,
+        action_noise=noise,
+        policy_kwargs={"net_arch": [400, 300]},
+        device="cpu",
+    )
+    agent._setup_learn(1)  # what learn() does before the first step: logger and counters
+    for row in [] if replay is None else replay.rows[: len(replay)]:
+        agent.replay_buffer.add(row[:20], row[24:44], row[20:23], row[23:24], np.zeros(1), [{}])
+    return agent
+
+
+def bare_products() -> Callable[[], None]:
+    """The matrix products of one update, and nothing else: forward and backward of actor and critic, forward of the targets."""
+    shapes = []
+    for inputs, outputs in ((20, 400), (400, 300), (300, 3)):  # actor
+        shapes += [(BATCH, inputs, outputs)] * 2 + [(inputs, BATCH, outputs)]  # forward twice (target too), weights' gradient
+    for inputs, outputs in ((23, 400), (400, 300), (300, 1)):  # critic
+        shapes += [(BATCH, inputs, outputs)] * 3 + [(inputs, BATCH, outputs)]
+    shapes += [(BATCH, 3, 300), (BATCH, 300, 400)]  # back through the actor's hidden layers
+    shapes += [(BATCH, 1, 300), (BATCH, 300, 400)] * 2 + [(BATCH, 400, 3)]  # the critic's, and to the action
+    matrices = [(torch.randn(a, b), torch.randn(b, c), torch.empty(a, c)) for a, b, c in shapes]
+
+    def run() -> None:
+        for left, right, result in matrices:
+            torch.mm(left, right, out=result)
+
+    return run
+
+
+def bench_update(rounds: int) -> Iterator[Row]:
+    agent, replay = our_agent(), our_replay()
+    with closing(gymnasium.make("uarm_rl/UArmSuction-v0")) as env:
+        reference = reference_agent(env, replay)
+        rates = alternate(
+            rounds,
+            ours=repeat(lambda: agent.update(replay.sample(BATCH)), 60),
+            SB3=(lambda: reference.train(gradient_steps=60, batch_size=BATCH), 60),
+            floor=repeat(bare_products(), 60),
+        )
+        yield from compare("one update against SB3", "1/s", {name: rates[name] for name in ("ours", "SB3")}, "> 2.2")
+        yield from compare(
+            "one update against its products", "1/s", {name: rates[name] for name in ("ours", "floor")}, "> 0.56"
+        )
+        policy = agent.policy({})
+        seen = np.random.default_rng(0).normal(0, 0.1, observation.SIZE).astype(np.float32)
+        rates = alternate(
+            rounds,
+            ours=repeat(lambda: policy.act(seen), 500),
+            SB3=repeat(lambda: reference.predict(seen, deterministic=True), 500),
+        )
+        yield from compare("one greedy action", "1/s", rates, "> 10")
+
+
+def bench_simulation(rounds: int) -> Iterator[Row]:
+    for buffer in ("uniform", "adaptive"):
+        settings = cli.compose("train", (f"buffer={buffer}",))
+        with closing(cli.build_env(settings, time_limit_s=None)) as env:
+            generator = np.random.default_rng(0)
+            env.reset(seed=0)
+            steps = 0
+
+            def decide(env=env, generator=generator) -> None:
+                nonlocal steps
+                *_, terminated, truncated, info = env.step(generator.uniform(-1, 1, 3).astype(np.float32))
+                steps += info["control_steps"]
+                if terminated or truncated:
+                    env.reset()
+
+            decisions = 300 if buffer == "uniform" else 60
+            for _ in range(decisions):
+                decide()
+            physics_per_decision = 6 * steps / decisions
+            bare = partial(pybullet.stepSimulation, physicsClientId=env.arm._client)
+            rates = alternate(rounds, ours=repeat(decide, decisions), bare=repeat(bare, int(decisions * physics_per_decision)))
+            rates["bare"] /= physics_per_decision
+            name = f"simulated decisions, {buffer} ({steps / decisions:.1f} control steps each)"
+            yield from compare(name, "1/s", {"ours": rates["ours"], "bare_stepSimulation": rates["bare"]})
+
+
+@contextmanager
+def our_training(settings: dict, env_class: type, seed: int = 0) -> Iterator[Callable[[int], None]]:
+    """A function that trains for so many more experiences; warmed up, one update per experience."""
+    agent = our_agent()
+    replay = ReplayBuffer(300_000, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(seed))
+    noise = cli.build("noise", settings["noise"], action_size=3, generator=np.random.default_rng(seed))
+    admission = cli.build("admission", settings["buffer"]["admission"])
+    counters = Counters()
+    env = env_class(partial(cli.build_env, settings, time_limit_s=None), seed)
+
+    def more(experiences: int) -> None:
+        train(
+            env,
+            agent,
+            agent.policy({}),
+            replay,
+            admission,
+            noise,
+            counters,
+            episodes=counters.episode + 1,
+            experiences_per_episode=experiences,
+            max_decisions_per_episode=10 * experiences,
+            warmup_experiences=200,
+            batch_size=BATCH,
+            end_of_episode=lambda row: False,
+        )
+
+    more(400)
+    try:
+        yield more
+    finally:
+        env.close()
+
+
+def bench_training(rounds: int) -> Iterator[Row]:
+    for buffer in ("uniform", "adaptive"):
+        settings = cli.compose("train", (f"buffer={buffer}",))
+        make = partial(gymnasium.make, "uarm_rl/UArmSuction-v0", overrides=(f"buffer={buffer}",))
+        with (
+            our_training(settings, InlineEnv) as inline,
+            our_training(settings, SubprocessEnv) as beside,
+            closing(make()) as env,
+        ):
+            reference = reference_agent(env)
+            reference.learn(400)
+            rates = alternate(
+                rounds,
+                inline=(partial(inline, 300), 300),
+                beside=(partial(beside, 300), 300),
+                SB3=(partial(reference.learn, 300, reset_num_timesteps=False), 300),
+            )
+        one, both = {k: rates[k] for k in ("inline", "SB3")}, {k: rates[k] for k in ("beside", "SB3")}
+        yield from compare(f"training, {buffer}, one core", "decisions/s", one, "> 2.2")
+        yield from compare(f"training, {buffer}, both cores", "decisions/s", both, "> 3" if buffer == "adaptive" else "")
+
+
+def bench_side_by_side(rounds: int, experiences: int) -> Iterator[Row]:
+    """Whole trainings in processes of their own, alone and two at a time."""
+
+    def run(seeds: list[int]) -> None:
+        command = [sys.executable, __file__, "--train-only", str(experiences)]
+        processes = [subprocess.Popen([*command, str(seed)], stdout=subprocess.PIPE, text=True) for seed in seeds]
+        times = [float(process.communicate()[0]) for process in processes]
+        took.append(len(seeds) * experiences / max(times))
+
+    rates: dict[str, list[float]] = {"two": [], "one": []}
+    for _ in range(rounds):
+        for name, seeds in (("one", [0]), ("two", [0, 1])):
+            took: list[float] = []
+            run(seeds)
+            rates[name] += took
+    medians = {name: statistics.median(values) for name, values in rates.items()}
+    yield from compare("two runs side by side", "experiences/s", medians, "> 1.85")
+
+
+def bench_evaluation(rounds: int) -> Iterator[Row]:
+    settings = cli.compose("train")
+    where = positions.load_packaged("test_positions.csv")
+    reward = cli.build("reward", settings["reward"])
+
+    def run(workers: int) -> None:
+        make = partial(cli.build_env, settings, time_limit_s=settings["time_limit_s"])
+        rows = list(evaluate(make, Restless(), where, reward, control_hz=20, workers=workers))
+        assert len(rows) == 100
+
+    rates = alternate(max(1, rounds // 3), two_cores=(partial(run, 2), 100), one_core=(partial(run, 1), 100))
+    yield from compare("100 positions, start of the workers included", "positions/s", rates, "> 1.7")
+
+
+class Restless:
+    """The baseline without its patience: it never succeeds, so every episode takes its 10 seconds."""
+
+    def __init__(self) -> None:
+        self._policy = InverseKinematicsPolicy(0.15, hover_m=0.05, aligned_m=0.0)
+
+    def act(self, seen: np.ndarray) -> np.ndarray:
+        return self._policy.act(seen)
+
+
+def bench_start(rounds: int) -> Iterator[Row]:
+    def start(*words: str) -> Callable[[], None]:
+        return lambda: subprocess.run([*words], stdout=subprocess.DEVNULL, check=True, cwd=HERE.parent)
+
+    command = str(Path(sys.executable).with_name("uarm-rl"))
+    rates = alternate(
+        rounds,
+        help=(start(command, "--help"), 1),
+        report=(start(command, "report", "--help"), 1),
+        python=(start(sys.executable, "-c", "pass"), 1),
+    )
+    for name in ("help", "report"):
+        title = "uarm-rl --help" if name == "help" else "uarm-rl report --help"
+        yield Row(title, "s", 1 / rates[name], 1 / rates["python"], "python -c pass", rates[name] / rates["python"], "< 0.4 s")
+
+
+def bench_growth(experiences: int) -> Iterator[Row]:
+    """Time per 1,000 experiences and resident memory as a run grows; the ratio compares with the first third."""
+    settings = cli.compose("train")
+    with our_training(settings, InlineEnv) as more:
+        rates, memory = [], []
+        for _ in range(9):
+            rates.append(rate(partial(more, experiences // 9), experiences // 9))
+            memory.append(resident_mb())
+    for name, part in (("middle", slice(3, 6)), ("end", slice(6, 9))):
+        ours, start = statistics.median(rates[part]), statistics.median(rates[:3])
+        yield Row(
+            f"training rate at the {name} of {experiences:,} experiences", "1/s", ours, start, "start", ours / start, "flat"
+        )
+    yield Row("resident memory at the end", "MB", memory[-1], memory[0], "start", memory[-1] / memory[0], "flat, < 600 MB")
+
+
+def resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def print_row(row: Row) -> None:
+    numbers = f"{row.ours:10.4g} {row.unit:12} {row.reference:10.4g} {row.reference_name:20}"
+    print(f"{row.name:58} {numbers} {row.ratio:6.2f} x   {row.target}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="two rounds each, to see that it runs")
+    parser.add_argument("--train-only", nargs=2, type=int, metavar=("EXPERIENCES", "SEED"), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    if arguments.train_only:
+        experiences, seed = arguments.train_only
+        with our_training(cli.compose("train"), InlineEnv, seed) as more:
+            print(experiences / rate(partial(more, experiences), experiences))
+        return
+    rounds, length, growth = (2, 200, 900) if arguments.quick else (9, 2000, 18_000)
+    rows = []
+    for bench in (
+        partial(bench_update, rounds),
+        partial(bench_simulation, rounds),
+        partial(bench_training, max(2, rounds // 2)),
+        partial(bench_side_by_side, max(1, rounds // 3), length),
+        partial(bench_evaluation, rounds),
+        partial(bench_start, rounds),
+        partial(bench_growth, growth),
+    ):
+        for row in bench():
+            rows.append(row)
+            print_row(row)
+    with open(HERE / "bench.csv", "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Row._fields)
+        writer.writerows([f"{value:.4g}" if isinstance(value, float) else value for value in row] for row in rows)
+
+
+if __name__ == "__main__":
+    assert uarm_rl.env  # its import registers the environment
+    main()

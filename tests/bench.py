@@ -1,0 +1,77 @@
+"""An emulated arm on the bench, in memory and virtual time; and an independent judge of what is written to it."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from uarm_rl import kinematics
+from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
+from uarm_rl.emulator.memory import MemoryPort
+from uarm_rl.emulator.motion import KinematicJoints
+from uarm_rl.real.arm import SwiftArm
+from uarm_rl.real.link import Link
+
+HOME = tuple(kinematics.HOME_JOINTS_RAD.tolist())
+PARKING = "G2206 B90.000 L118.000 R50.000 F20.0"
+
+
+class Bench:
+    """``port.written`` has every byte that the driver wrote, or tried to."""
+
+    def __init__(self, settings=None, start=PARKED_DEG, faults=(), firmware=Firmware, **keywords):
+        self.joints = KinematicJoints(start)
+        self.port = MemoryPort(firmware(settings, self.joints, faults=faults))
+        self.keywords = keywords
+
+    def connect(self):
+        return SwiftArm(Link(self.port, "emulated arm", clock=self.port.clock), **self.keywords)
+
+    def lines(self, start=0):
+        """The requests from byte ``start`` on without their numbers, and the immediate bytes."""
+        text = re.sub("([!\x18])", r"\1\n", self.port.written[start:].decode("latin-1"))
+        return [re.sub(r"^#\d+ ", "", line) for line in text.split("\n") if line]
+
+    def judge(self, last_deg=None):
+        """Judge every line; moves are single steps if ``last_deg`` says where the first one starts (B, L, R)."""
+        for line in re.sub(b"[!\x18]", b"", self.port.written).decode("ascii").split("\n"):
+            goal_deg = judge(line, last_deg) if line else None
+            if goal_deg and last_deg:
+                last_deg = goal_deg
+
+
+_OTHERS = {"M17", "P2200", "P2203", "P2231", "P2234", "P2400", "M2231 V0", "M2231 V1", "M2400 S0"}
+_MOVE = re.compile(r"G2206 B(\d+\.\d{3}) L(-?\d+\.\d{3}) R(-?\d+\.\d{3}) F(\d+\.\d)")
+
+
+def judge(line, last_deg=None):
+    """Raise unless a line may be sent, by limits and geometry of its own; return the B, L, R that it goes to, if any.
+
+    With ``last_deg`` the move is a single step from there.
+    """
+    number, command = re.fullmatch(r"#(\d{1,4}) (.*)", line).groups()
+    assert len(line) < 50
+    assert int(number) > 0
+    if command in _OTHERS:
+        return None
+    move = _MOVE.fullmatch(command)
+    assert move, line
+    b, left, right, feed = map(float, move.groups())
+    assert 0.0 <= b <= 180.0
+    assert -4.0 <= left <= 135.6
+    assert -4.0 <= right <= 119.9
+    assert 29.0 <= left + right <= 170.0
+    assert 0.0 < feed <= 30.0
+    radius = 142.07 * math.cos(math.radians(left)) + 158.81 * math.cos(math.radians(right)) + 13.2 + 56.65
+    height = 142.07 * math.sin(math.radians(left)) - 158.81 * math.sin(math.radians(right)) + 107.4 - 74.55
+    x, y = radius * math.sin(math.radians(b)), -radius * math.cos(math.radians(b))
+    assert -10.1 <= x <= 370.0
+    assert abs(y) <= 370.0
+    assert 2.9 <= height <= 200.0
+    assert abs(x) > 75.4 or abs(y) > 75.4 or height > 86.9  # the base
+    if last_deg is not None:
+        allowed = math.degrees(0.25) + 0.2  # the encoders read up to half a count away from the last command
+        assert abs(b - last_deg[0]) <= allowed
+        assert abs(left - last_deg[1]) <= allowed
+        assert abs(left + right - last_deg[1] - last_deg[2]) <= allowed  # joint3
+    return b, left, right

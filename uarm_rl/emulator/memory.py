@@ -1,0 +1,52 @@
+"""The emulated arm as a port in memory, with a clock of its own: minutes of arm time in milliseconds, always the same."""
+
+from __future__ import annotations
+
+from uarm_rl.emulator.firmware import Firmware
+
+_QUANTUM_S = 0.002
+_READ_S = 0.02  # how long a read waits, as on the real port
+
+
+class MemoryPort:
+    """A ``Port`` of ``real.link`` and its clock: ``Link(port, "emulator", clock=port.clock)``.
+
+    Time passes while somebody reads. ``written`` keeps the bytes from the host, for tests and dry runs.
+    """
+
+    def __init__(self, firmware: Firmware) -> None:
+        self.firmware = firmware
+        self.written = bytearray()
+        self._now_s = firmware.now_s
+        self._received = bytearray()
+
+    def clock(self) -> float:
+        """Seconds since the start, in the arm's time."""
+        return self._now_s
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self._received)
+
+    def read(self, size: int = 1) -> bytes:
+        deadline_s = self._now_s + _READ_S
+        while not self._received and self._now_s < deadline_s:
+            self._now_s += _QUANTUM_S
+            self._received += self.firmware.advance(self._now_s)
+            self._check_cable()
+        data = bytes(self._received[:size])
+        del self._received[:size]
+        return data
+
+    def write(self, data: bytes) -> int:
+        self.written += data  # what was tried
+        self._check_cable()
+        self._received += self.firmware.advance(self._now_s, data)
+        return len(data)
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+    def _check_cable(self) -> None:
+        if self.firmware.unplugged:
+            raise OSError(5, "Input/output error")

@@ -1,0 +1,177 @@
+"""The audit: one pure function between a wish and the wire. What it refuses is never sent."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import Final
+
+from uarm_rl import checks, kinematics
+from uarm_rl.arm import ArmError, JointPositions
+from uarm_rl.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
+from uarm_rl.real.gcode import FEED_DEG_S, Command
+
+log = logging.getLogger(__name__)
+
+#: A reference this close to a limit is pulled inside it by as much: one step of the motors, so that rounding on the
+#: wire or in the firmware's 32-bit floats cannot turn a legal limit into a refusal.
+_MICROSTEP_DEG: Final = 0.0125
+_PATH_STEP_DEG: Final = 2.0  # the path is looked at every so often
+_PATH_TOLERANCE_M: Final = 0.001  # a way out of a forbidden place may dip by this much first
+
+#: The arm's own base, from the maker's CAD model: half of its square footprint and its height, with the radius of the
+#: cup's lip (9.5 mm) around it. Firmware 3.2 refuses such targets, firmware 4 drives into them.
+_BASE_HALF_WIDTH_M: Final = 0.066 + 0.0095
+_BASE_HEIGHT_M: Final = 0.087
+
+
+class UnsafeCommandError(ArmError):
+    """A motion command that the audit refuses; nothing was sent and the arm is as it was."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where the cup may be (m, base frame), how far one step may go, how fast the motors may turn.
+
+    The default speed is the data sheet's 40 deg/s. ``max_step_rad`` bounds each of joint1..joint3 in one decision.
+    """
+
+    x_m: tuple[float, float] = (-0.01, 0.37)
+    y_m: tuple[float, float] = (-0.37, 0.37)
+    z_m: tuple[float, float] = (0.0, 0.20)
+    table_clearance_m: float = 0.003
+    max_step_rad: float = 0.25
+    max_speed_deg_s: float = 40.0
+
+    def __post_init__(self) -> None:
+        for name in ("x_m", "y_m", "z_m"):
+            low, high = getattr(self, name)
+            checks.number(f"limits.{name}[0]", low)
+            checks.number(f"limits.{name}[1]", high, low=low)
+        checks.number("limits.table_clearance_m", self.table_clearance_m, low=0.0, high=0.1)
+        checks.number("limits.max_step_rad", self.max_step_rad, low=0.0, high=math.pi, open_low=True)
+        checks.number("limits.max_speed_deg_s", self.max_speed_deg_s, low=0.0, high=200.0, open_low=True)
+
+
+@dataclass(frozen=True)
+class Audited:
+    """A motion command that passed. ``clamped``: the reference was pulled inside a limit, by at most two microsteps."""
+
+    command: Command
+    joints_rad: JointPositions
+    distance_deg: float  # norm of the motors' travel
+    clamped: bool
+
+
+def audit(
+    reference_rad: Sequence[float], joints_rad: JointPositions, *, feed: float, limits: Limits, single_step: bool
+) -> Audited:
+    """The command that moves from ``joints_rad`` straight to ``reference_rad`` (joint1..joint3) at F = ``feed``.
+
+    Raises :class:`UnsafeCommandError` unless the reference is three finite numbers inside the joint limits and the coupled
+    limits, the speed is allowed, no joint steps too far (``single_step``; homing and parking may), and the cup ends
+    and stays on its way inside the workspace, above the table and off the arm's own base. An arm that starts outside
+    (sagged onto the table) may move as long as that brings it no further outside.
+    """
+    reference = _three_numbers(reference_rad)
+    if not kinematics.within_limits(reference, tolerance_rad=math.radians(_MICROSTEP_DEG)):
+        raise UnsafeCommandError(f"joint angles {_degrees(reference)} are outside the joint limits; {_joint_limits()}")
+    if not 0.0 < FEED_DEG_S * feed <= limits.max_speed_deg_s:
+        raise UnsafeCommandError(
+            f"F {feed:g} asks for {FEED_DEG_S * feed:.1f} deg/s; allowed is up to {limits.max_speed_deg_s:g} deg/s, "
+            f"F {limits.max_speed_deg_s / FEED_DEG_S:.1f}"
+        )
+    step_rad = max(abs(b - a) for a, b in zip(joints_rad, reference, strict=True))
+    if single_step and not step_rad <= limits.max_step_rad:
+        raise UnsafeCommandError(
+            f"a step from {_degrees(joints_rad)} to {_degrees(reference)} turns a joint by "
+            f"{math.degrees(step_rad):.1f} degrees; allowed are {math.degrees(limits.max_step_rad):.1f} in one step"
+        )
+    start, end = kinematics.to_motor_deg(joints_rad), kinematics.to_motor_deg(reference)
+    legal = _pull_inside(*end)
+    if clamped := max(abs(a - b) for a, b in zip(legal, end, strict=True)) > 1e-9:
+        log.info("motor angles B %.4f, L %.4f, R %.4f clamped to the limits: B %.4f, L %.4f, R %.4f", *end, *legal)
+    _check_path(start, legal, limits)
+    b1, j2, j3 = kinematics.from_motor_deg(*legal).tolist()
+    return Audited(Command("G2206", *legal, feed), (b1, j2, j3), math.dist(start, legal), clamped)
+
+
+def _three_numbers(reference_rad: Sequence[float]) -> JointPositions:
+    try:
+        values = list(itertools.islice(reference_rad, 4))
+    except TypeError:
+        values = []
+    numbers = [float(value) for value in values if isinstance(value, Real) and abs(value) < 1e3]  # NaN compares false
+    if len(values) != 3 or len(numbers) != 3:
+        raise UnsafeCommandError(f"a reference is three finite joint angles in radians, got {repr(reference_rad)[:80]}")
+    return numbers[0], numbers[1], numbers[2]
+
+
+def _pull_inside(base: float, left: float, right: float) -> tuple[float, float, float]:
+    margin = _MICROSTEP_DEG
+    (b_low, b_high), (l_low, l_high), (r_low, r_high) = (MOTOR_LIMITS_DEG[name] for name in "BLR")
+    opening_low, opening_high = ELBOW_OPENING_DEG
+    base = min(max(base, b_low + margin), b_high - margin)
+    left = min(max(left, l_low + margin), l_high - margin)
+    low = max(r_low, 180.0 - opening_high - left) + margin
+    high = min(r_high, 180.0 - opening_low - left) - margin
+    return base, left, min(max(right, low), high)
+
+
+def _check_path(start_deg: tuple[float, float, float], end_deg: tuple[float, float, float], limits: Limits) -> None:
+    """The firmware moves all motors along one straight line in angles; look at the cup all along it."""
+    allowed_m = _outside(_cup(start_deg), limits)[0] + _PATH_TOLERANCE_M
+    pieces = math.ceil(max(abs(b - a) for a, b in zip(start_deg, end_deg, strict=True)) / _PATH_STEP_DEG) + 1
+    for piece in range(1, pieces + 1):
+        at_end = piece == pieces
+        share = piece / pieces
+        b, left, right = (a + share * (z - a) for a, z in zip(start_deg, end_deg, strict=True))
+        cup = _cup((b, left, right))
+        excess_m, why = _outside(cup, limits)
+        if excess_m > (0.0 if at_end else allowed_m):
+            x, y, z = (1000.0 * value for value in cup)
+            raise UnsafeCommandError(
+                f"the cup would {'end' if at_end else 'pass'} at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {why}; "
+                "choose a target inside, or lift the arm by hand if it hangs low"
+            )
+
+
+def _cup(motor_deg: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = kinematics.cup_position(kinematics.from_motor_deg(*motor_deg)).tolist()
+    return x, y, z
+
+
+def _outside(cup_m: tuple[float, float, float], limits: Limits) -> tuple[float, str]:
+    """By how many metres the cup is outside of what is allowed (0 inside), and what forbids it."""
+    x, y, z = cup_m
+    excesses = [
+        (limits.table_clearance_m - z, f"closer to the table than {1000.0 * limits.table_clearance_m:g} mm"),
+        (
+            min(_BASE_HALF_WIDTH_M - abs(x), _BASE_HALF_WIDTH_M - abs(y), _BASE_HEIGHT_M - z),
+            "where it would touch the arm's own base",
+        ),
+    ]
+    for axis, value, (low, high) in zip("xyz", cup_m, (limits.x_m, limits.y_m, limits.z_m), strict=True):
+        allowed = f"outside the workspace, {1000.0 * low:g} to {1000.0 * high:g} mm in {axis}"
+        excesses += [(low - value, allowed), (value - high, allowed)]
+    excess_m, why = max(excesses)
+    return max(0.0, excess_m), why
+
+
+def _degrees(joints_rad: JointPositions) -> str:
+    return "(" + ", ".join(f"{math.degrees(joint):.1f}" for joint in joints_rad) + ") degrees"
+
+
+def _joint_limits() -> str:
+    rows = [f"joint{i}: {low:g} to {high:g}" for i, (low, high) in enumerate(_limits_deg(), start=1)]
+    low, high = MOTOR_LIMITS_DEG["R"]
+    return f"allowed are {', '.join(rows)}, joint2 + joint3: {low:g} to {high:g}"
+
+
+def _limits_deg() -> list[list[float]]:
+    limits: list[list[float]] = [[math.degrees(limit) for limit in row] for row in kinematics.JOINT_LIMITS_RAD.tolist()]
+    return limits
