@@ -79,7 +79,7 @@ def test_the_cup_pushes_the_object_aside():
         beside = kinematics.inverse((0.2, 0.0, 0.02))
         run(arm, beside)
         run(arm, kinematics.inverse((0.2, 0.05, 0.02)))
-        x, y, z = arm.object_position()
+        _, y, z = arm.object_position()
         assert y > 0.065
         assert z == pytest.approx(0.03, abs=0.001)
 

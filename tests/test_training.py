@@ -89,7 +89,7 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path, capsys):
 def test_a_finished_run_is_not_overwritten_unasked(tmp_path):
     run = train(tmp_path)
     before = outcome(run)
-    with pytest.raises(RunFolderError, match="already holds a finished run; resume=true .* overwrite=true"):
+    with pytest.raises(RunFolderError, match=r"already holds a finished run; resume=true .* overwrite=true"):
         train(tmp_path)
     assert outcome(run) == before
     train(tmp_path, "overwrite=true", "episodes=1")
