@@ -21,7 +21,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -105,7 +105,7 @@ def reference_agent(env: gymnasium.Env, replay: ReplayBuffer | None = None) -> s
     agent = stable_baselines3.DDPG(
         "MlpPolicy",
         env,
-        learning_rate=1e-3,
+        learning_rate=1e-4,  # one for both networks; with ours for the critic its actor soon pushes against a limit
         buffer_size=50_000,
         learning_starts=200,
         batch_size=BATCH,
@@ -170,7 +170,7 @@ def bench_simulation(rounds: int) -> Iterator[Row]:
         with closing(cli.build_env(settings, time_limit_s=None)) as env:
             generator = np.random.default_rng(0)
             env.reset(seed=0)
-            steps = 0
+            steps = 0  # control steps so far
 
             def decide(env=env, generator=generator) -> None:
                 nonlocal steps
@@ -180,80 +180,101 @@ def bench_simulation(rounds: int) -> Iterator[Row]:
                     env.reset()
 
             decisions = 300 if buffer == "uniform" else 60
-            for _ in range(decisions):
-                decide()
-            physics_per_decision = 6 * steps / decisions
+            repeat(decide, decisions)[0]()
+            per_decision = steps / decisions
             bare = partial(pybullet.stepSimulation, physicsClientId=env.arm._client)
-            rates = alternate(rounds, ours=repeat(decide, decisions), bare=repeat(bare, int(decisions * physics_per_decision)))
-            rates["bare"] /= physics_per_decision
-            name = f"simulated decisions, {buffer} ({steps / decisions:.1f} control steps each)"
-            yield from compare(name, "1/s", {"ours": rates["ours"], "bare_stepSimulation": rates["bare"]})
+            physics_steps = round(6 * per_decision * decisions)  # 120 Hz against 20 Hz
+            rates = alternate(
+                rounds, ours=repeat(decide, decisions), bare_stepSimulation=(repeat(bare, physics_steps)[0], decisions)
+            )
+            yield from compare(f"simulated decisions, {buffer} ({per_decision:.1f} control steps each)", "1/s", rates)
 
 
-@contextmanager
-def our_training(settings: dict, env_class: type, seed: int = 0) -> Iterator[Callable[[int], None]]:
-    """A function that trains for so many more experiences; warmed up, one update per experience."""
-    agent = our_agent()
-    replay = ReplayBuffer(300_000, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(seed))
-    noise = cli.build("noise", settings["noise"], action_size=3, generator=np.random.default_rng(seed))
-    admission = cli.build("admission", settings["buffer"]["admission"])
-    counters = Counters()
-    env = env_class(partial(cli.build_env, settings, time_limit_s=None), seed)
+EPISODE = 200  # stored experiences, as in the paper
 
-    def more(experiences: int) -> None:
+
+class OurTraining:
+    """Trains for so many more episodes at each call; two are over, so that every experience has its update."""
+
+    def __init__(self, settings: dict, env_class: type, seed: int = 0) -> None:
+        self.counters = Counters()
+        self._env = env_class(partial(cli.build_env, settings, time_limit_s=None), seed)
+        self._agent = our_agent()
+        self._replay = ReplayBuffer(
+            300_000, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(seed)
+        )
+        self._noise = cli.build("noise", settings["noise"], action_size=3, generator=np.random.default_rng(seed))
+        self._admission = cli.build("admission", settings["buffer"]["admission"])
+        self(2)
+
+    def __call__(self, episodes: int) -> None:
+        goal = self.counters.episode + episodes
         train(
-            env,
-            agent,
-            agent.policy({}),
-            replay,
-            admission,
-            noise,
-            counters,
-            episodes=counters.episode + 1,
-            experiences_per_episode=experiences,
-            max_decisions_per_episode=10 * experiences,
-            warmup_experiences=200,
+            self._env,
+            self._agent,
+            self._agent.policy({}),
+            self._replay,
+            self._admission,
+            self._noise,
+            self.counters,
+            episodes=1500,
+            experiences_per_episode=EPISODE,
+            max_decisions_per_episode=10 * EPISODE,
+            warmup_experiences=EPISODE,
             batch_size=BATCH,
-            end_of_episode=lambda row: False,
+            end_of_episode=lambda row: self.counters.episode >= goal,
         )
 
-    more(400)
-    try:
-        yield more
-    finally:
-        env.close()
+    def close(self) -> None:
+        self._env.close()
 
 
 def bench_training(rounds: int) -> Iterator[Row]:
+    """The whole loop. Decisions of an untrained policy last differently long, so each row says how long theirs were."""
     for buffer in ("uniform", "adaptive"):
         settings = cli.compose("train", (f"buffer={buffer}",))
         make = partial(gymnasium.make, "uarm_rl/UArmSuction-v0", overrides=(f"buffer={buffer}",))
         with (
-            our_training(settings, InlineEnv) as inline,
-            our_training(settings, SubprocessEnv) as beside,
-            closing(make()) as env,
+            closing(OurTraining(settings, InlineEnv)) as inline,
+            closing(OurTraining(settings, SubprocessEnv)) as beside,
+            closing(ControlSteps(make())) as env,
         ):
             reference = reference_agent(env)
-            reference.learn(400)
+            reference.learn(2 * EPISODE)
             rates = alternate(
                 rounds,
-                inline=(partial(inline, 300), 300),
-                beside=(partial(beside, 300), 300),
-                SB3=(partial(reference.learn, 300, reset_num_timesteps=False), 300),
+                inline=(partial(inline, 2), 2 * EPISODE),
+                beside=(partial(beside, 2), 2 * EPISODE),
+                SB3=(partial(reference.learn, 2 * EPISODE, reset_num_timesteps=False), 2 * EPISODE),
             )
+            theirs = env.control_steps / env.decisions
+        ours = inline.counters.control_steps / inline.counters.decisions
+        steps = "" if buffer == "uniform" else f" ({ours:.1f} control steps each, SB3 {theirs:.1f})"
         one, both = {k: rates[k] for k in ("inline", "SB3")}, {k: rates[k] for k in ("beside", "SB3")}
-        yield from compare(f"training, {buffer}, one core", "decisions/s", one, "> 2.2")
-        yield from compare(f"training, {buffer}, both cores", "decisions/s", both, "> 3" if buffer == "adaptive" else "")
+        yield from compare(f"training, {buffer}, one core{steps}", "decisions/s", one, "> 2.2")
+        yield from compare(f"training, {buffer}, both cores{steps}", "decisions/s", both, "> 3" if buffer == "adaptive" else "")
 
 
-def bench_side_by_side(rounds: int, experiences: int) -> Iterator[Row]:
+class ControlSteps(gymnasium.Wrapper):
+    """Counts how long the decisions of another trainer last."""
+
+    control_steps = decisions = 0
+
+    def step(self, action):
+        result = super().step(action)
+        self.control_steps += result[4]["control_steps"]
+        self.decisions += 1
+        return result
+
+
+def bench_side_by_side(rounds: int, episodes: int) -> Iterator[Row]:
     """Whole trainings in processes of their own, alone and two at a time."""
 
     def run(seeds: list[int]) -> None:
-        command = [sys.executable, __file__, "--train-only", str(experiences)]
+        command = [sys.executable, __file__, "--train-only", str(episodes)]
         processes = [subprocess.Popen([*command, str(seed)], stdout=subprocess.PIPE, text=True) for seed in seeds]
         times = [float(process.communicate()[0]) for process in processes]
-        took.append(len(seeds) * experiences / max(times))
+        took.append(len(seeds) * episodes * EPISODE / max(times))
 
     rates: dict[str, list[float]] = {"two": [], "one": []}
     for _ in range(rounds):
@@ -297,27 +318,25 @@ def bench_start(rounds: int) -> Iterator[Row]:
     rates = alternate(
         rounds,
         help=(start(command, "--help"), 1),
-        report=(start(command, "report", "--help"), 1),
+        report=(start(sys.executable, "-c", "import uarm_rl.report"), 1),
         python=(start(sys.executable, "-c", "pass"), 1),
     )
     for name in ("help", "report"):
-        title = "uarm-rl --help" if name == "help" else "uarm-rl report --help"
+        title = "uarm-rl --help" if name == "help" else "import of uarm_rl.report"
         yield Row(title, "s", 1 / rates[name], 1 / rates["python"], "python -c pass", rates[name] / rates["python"], "< 0.4 s")
 
 
-def bench_growth(experiences: int) -> Iterator[Row]:
-    """Time per 1,000 experiences and resident memory as a run grows; the ratio compares with the first third."""
-    settings = cli.compose("train")
-    with our_training(settings, InlineEnv) as more:
+def bench_growth(episodes: int) -> Iterator[Row]:
+    """Training rate and resident memory as a run grows; the ratio compares with the first third."""
+    with closing(OurTraining(cli.compose("train"), InlineEnv)) as more:
         rates, memory = [], []
         for _ in range(9):
-            rates.append(rate(partial(more, experiences // 9), experiences // 9))
+            rates.append(rate(partial(more, episodes // 9), episodes // 9 * EPISODE))
             memory.append(resident_mb())
     for name, part in (("middle", slice(3, 6)), ("end", slice(6, 9))):
         ours, start = statistics.median(rates[part]), statistics.median(rates[:3])
-        yield Row(
-            f"training rate at the {name} of {experiences:,} experiences", "1/s", ours, start, "start", ours / start, "flat"
-        )
+        title = f"training rate at the {name} of {episodes * EPISODE:,} experiences"
+        yield Row(title, "1/s", ours, start, "start", ours / start, "flat")
     yield Row("resident memory at the end", "MB", memory[-1], memory[0], "start", memory[-1] / memory[0], "flat, < 600 MB")
 
 
@@ -334,16 +353,15 @@ def print_row(row: Row) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="two rounds each, to see that it runs")
-    parser.add_argument("--train-only", nargs=2, type=int, metavar=("EXPERIENCES", "SEED"), help=argparse.SUPPRESS)
+    parser.add_argument("--train-only", nargs=2, type=int, metavar=("EPISODES", "SEED"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    torch.set_flush_denormal(True)
     if arguments.train_only:
-        experiences, seed = arguments.train_only
-        with our_training(cli.compose("train"), InlineEnv, seed) as more:
-            print(experiences / rate(partial(more, experiences), experiences))
+        episodes, seed = arguments.train_only
+        with closing(OurTraining(cli.compose("train"), InlineEnv, seed)) as more:
+            print(episodes / rate(partial(more, episodes), episodes))
         return
-    rounds, length, growth = (2, 200, 900) if arguments.quick else (9, 2000, 18_000)
+    rounds, length, growth = (2, 1, 9) if arguments.quick else (9, 10, 90)
     rows = []
     for bench in (
         partial(bench_update, rounds),

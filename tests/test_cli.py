@@ -108,6 +108,9 @@ def test_a_film(trained):
 def test_help_explains(tmp_path):
     overview = uarm_rl("--help", cwd=tmp_path).stdout
     assert all(f"  {command} " in overview for command in ("train", "evaluate", "report", "render"))
+    for command in ("train", "evaluate", "report", "render"):
+        done = uarm_rl(command, "--help", cwd=tmp_path)
+        assert (done.returncode, f"uarm-rl {command}" in done.stdout) == (0, True), done.stderr
     text = uarm_rl("train", "--help", cwd=tmp_path).stdout
     for part in ("Examples:", "experiment", "A, B, C, D", "tolerance_m: 0.005  # m;", "results_dir: results"):
         assert part in text

@@ -165,7 +165,6 @@ def train(settings: Settings) -> None:
     from uarm_rl.replay import ReplayBuffer
 
     torch.set_num_threads(1)  # two threads are slower at this size, and would change the last bits
-    torch.set_flush_denormal(True)
     run_dir = Path(settings["results_dir"]) / str(settings["name"]) / f"seed{settings['seed']}"
     if settings["resume"] and session.is_finished(run_dir):
         print(f"{run_dir} is finished; nothing to do")

@@ -151,9 +151,18 @@ class DDPG:
         layers = [(weight.numpy(), bias.numpy()) for weight, bias in self.actor.layers]
         return ActorPolicy(layers, offset=observation.OFFSET, scale=observation.SCALE, metadata=metadata)
 
-    @torch.no_grad()
     def update(self, batch: Batch) -> dict[str, float]:
         """One gradient step of critic and actor, one soft step of the targets. Returns the two losses."""
+        # The moments of weights that no longer learn fade into denormal numbers, which are slow. Elsewhere in this
+        # process (in the physics) they keep their meaning, so that it computes what it computes in a process of its own.
+        torch.set_flush_denormal(True)
+        try:
+            with torch.no_grad():
+                return self._update(batch)
+        finally:
+            torch.set_flush_denormal(False)
+
+    def _update(self, batch: Batch) -> dict[str, float]:
         observations, next_observations = scale(batch.observation), scale(batch.next_observation)
         both = torch.from_numpy(np.concatenate((observations, batch.action), axis=1))
         reward, terminated = torch.from_numpy(batch.reward), torch.from_numpy(batch.terminated)

@@ -60,7 +60,8 @@ def evaluate(
         finally:
             env.close()
         return
-    context = multiprocessing.get_context("spawn")  # PyBullet does not survive a fork
+    # A fork starts at once where a new interpreter takes a second; each worker makes a PyBullet world of its own.
+    context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(workers, context, _begin, (make_env, policy)) as pool:
         for number, episode in enumerate(pool.map(_work, positions_m)):
             yield measure(number, episode, common_reward, control_hz=control_hz)

@@ -61,7 +61,7 @@ class UsageError(Exception):
 def help_text(command: str) -> str:
     """What a command does, its groups with their choices, and its configuration file, whose comments explain each key."""
     conf = resources.files("uarm_rl.conf")
-    defaults, values = (conf / f"{command}.yaml").read_text(encoding="utf-8").split("\n\n", 1)
+    defaults, _, values = (conf / f"{command}.yaml").read_text(encoding="utf-8").partition("\n\n")
     lines = [f"uarm-rl {command}: {COMMANDS[command]}", "", "Examples:", *(f"  {line}" for line in EXAMPLES[command])]
     groups = [line.split()[1].rstrip(":") for line in defaults.splitlines() if line.startswith("  - ") and ": " in line]
     if groups:
