@@ -8,7 +8,7 @@ import torch
 from torch.nn import functional
 
 from uarm_rl import observation
-from uarm_rl.ddpg import DDPG
+from uarm_rl.ddpg import DDPG, DivergenceError
 from uarm_rl.replay import Batch
 
 SETTINGS = {"gamma": 0.9, "tau": 0.01, "actor_lr": 1e-3, "critic_lr": 1e-3, "final_layer_init": 0.1}
@@ -180,3 +180,24 @@ def test_tensors_of_another_shape_are_refused():
 def test_bad_values_are_refused_in_a_sentence(change, sentence):
     with pytest.raises(ValueError, match=sentence):
         agent(**change)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("place", ["observation", "action", "reward", "next_observation", "terminated"])
+def test_a_number_that_is_not_finite_is_named_at_once(place, bad):
+    sample = batch(terminated=0.0)
+    getattr(sample, place)[3] = bad
+    with pytest.raises(DivergenceError, match=f"the batch's {place}"):
+        agent().update(sample)
+
+
+@pytest.mark.parametrize(
+    "place", ["parameters", "target_parameters", "actor_exp_avg", "critic_exp_avg", "actor_exp_avg_sq", "critic_exp_avg_sq"]
+)
+def test_a_weight_or_moment_that_is_not_finite_is_named_within_an_update(place):
+    ours = agent()
+    ours.update(batch())
+    ours.tensors()[place].fill_(float("nan"))
+    with pytest.raises(DivergenceError, match=place):
+        for seed in range(2):
+            ours.update(batch(seed=seed))

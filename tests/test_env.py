@@ -163,3 +163,16 @@ def test_pictures(make_env):
     assert [picture.shape for picture in pictures] == [(64, 96, 3)] * 2
     assert pictures[0].std() > 10  # there is something to see
     assert env.render() == []
+
+
+def test_an_exploding_simulation_ends_the_episode_and_only_that(make_env, monkeypatch):
+    env = make_env("buffer=uniform", time_limit_s=None)
+    env.reset(seed=0)
+    monkeypatch.setattr(env.arm._servo, "velocity", lambda *_: (float("nan"), 0.0, 0.0))
+    *_, reward, terminated, truncated, info = env.step(np.zeros(3, np.float32))
+    assert (terminated, truncated, info["exploded"]) == (False, True, True)
+    assert np.isfinite(reward)
+    monkeypatch.undo()
+    env.reset(options={"object_position": TARGET})
+    *_, truncated, info = env.step(np.zeros(3, np.float32))
+    assert (truncated, info["exploded"]) == (False, False)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+
 import numpy as np
 import pytest
 
@@ -91,3 +95,63 @@ def test_a_failed_write_keeps_the_old_file(tmp_path):
     with pytest.raises(KeyError):
         write_rows(path, ("x",), [{"y": 1}])
     assert path.read_text() == "x\n1\n"
+
+
+def test_a_checkpoint_of_numbers_that_are_not_finite_is_not_written(tmp_path):
+    checkpoint.write(tmp_path, 1, ARRAYS, {})
+    with pytest.raises(checkpoint.CheckpointError, match="replay/rows holds numbers that are not finite"):
+        checkpoint.write(tmp_path, 2, ARRAYS | {"replay/rows": np.array([1.0, np.nan], np.float32)}, {})
+    assert checkpoint.read_latest(tmp_path)[0] == 1
+
+
+class Disk:
+    """Fails the n-th call of the operating system that a save makes, in one of several ways."""
+
+    def __init__(self, monkeypatch, fail_at, error):
+        self.calls = 0
+        for name in ("fsync", "rename", "replace", "open"):
+            real = getattr(os, name)
+            monkeypatch.setattr(os, name, self._wrap(real, fail_at, error))
+
+    def _wrap(self, real, fail_at, error):
+        def call(*arguments, **keywords):
+            self.calls += 1
+            if self.calls == fail_at:
+                raise OSError(error, os.strerror(error), "disk")
+            return real(*arguments, **keywords)
+
+        return call
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
+def test_whatever_fails_during_a_save_the_last_checkpoint_loads(tmp_path, monkeypatch, error):
+    checkpoint.write(tmp_path, 1, ARRAYS, {"episode": 1})
+    failures = 0
+    for fail_at in range(1, 100):
+        with monkeypatch.context() as patch:
+            disk = Disk(patch, fail_at, error)
+            try:
+                checkpoint.write(tmp_path, 2, ARRAYS, {"episode": 2})
+            except OSError:
+                failures += 1
+        if disk.calls < fail_at:
+            break
+        assert checkpoint.read_latest(tmp_path)[0] in (1, 2)
+        if checkpoint.read_latest(tmp_path)[0] == 2:  # it was renamed before the failure; begin again
+            shutil.rmtree(tmp_path / "checkpoint-000002")
+            checkpoint.write(tmp_path, 1, ARRAYS, {"episode": 1})
+    assert failures >= 7
+    assert checkpoint.read_latest(tmp_path)[0] == 2
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
+def test_whatever_fails_during_a_replacement_a_whole_file_is_there(tmp_path, monkeypatch, error):
+    path = tmp_path / "a.csv"
+    write_rows(path, ("x",), [{"x": 1}])
+    for fail_at in range(1, 4):
+        with monkeypatch.context() as patch:
+            Disk(patch, fail_at, error)
+            with pytest.raises(OSError, match="disk"):
+                write_rows(path, ("x",), [{"x": 2}])
+        assert path.read_text() in ("x\n1\n", "x\n2\n")
+        assert list(tmp_path.iterdir()) == [path]

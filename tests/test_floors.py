@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "uarm_rl"
 
 FLOORS = {
-    0: {"checks", "kinematics", "observation", "reward", "hold", "admission", "positions"},
+    0: {"checks", "files", "kinematics", "observation", "reward", "hold", "admission", "positions"},
     1: {"replay", "noise", "policy", "arm", "real.gcode"},
     2: {"ddpg", "env", "rollout", "pipeline", "sim", "real"},
     3: {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -18,9 +17,9 @@ from uarm_rl.policy import ActorPolicy, InverseKinematicsPolicy, PolicyFileError
 METADATA = {"max_delta_rad": 0.15, "hold": {"name": "fixed", "control_steps": 1}}
 
 
-def policy(seed: int = 0) -> ActorPolicy:
+def policy(seed: int = 0, widths: tuple[int, ...] = (8, 6, 3)) -> ActorPolicy:
     generator = np.random.default_rng(seed)
-    widths = [observation.SIZE, 8, 6, 3]
+    widths = (observation.SIZE, *widths)
     layers = [
         (generator.normal(0, 0.5, (a, b)).astype(np.float32), generator.normal(0, 0.5, b).astype(np.float32))
         for a, b in pairwise(widths)
@@ -56,35 +55,54 @@ def test_every_truncation_is_refused(tmp_path):
             ActorPolicy.load(path)
 
 
+def test_every_flipped_bit_is_refused(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    ActorPolicy(policy(widths=(2, 3)).layers, offset=observation.OFFSET, scale=observation.SCALE, metadata=METADATA).save(path)
+    data = bytearray(path.read_bytes())
+    for bit in range(8 * len(data)):
+        data[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(data)
+        with pytest.raises(PolicyFileError):
+            ActorPolicy.load(path)
+        data[bit // 8] ^= 1 << bit % 8
+
+
 def test_foreign_files_are_refused(tmp_path):
     path = tmp_path / "policy.safetensors"
     good = {"offset": observation.OFFSET, "scale": observation.SCALE}
-    layers = {
-        f"{kind}{n}": array
-        for n, pair in enumerate(policy().layers)
-        for kind, array in zip(("weight", "bias"), pair, strict=True)
-    }
-    header = {"uarm-rl policy 1": json.dumps(METADATA)}
-    cases = {
-        "damaged or no policy": [
-            b"",
-            b"PK\x03\x04",
-            b"\x80\x04K\x01.",
-            os.urandom(200),
-            save({}),
-            save(good),
-            save(good | layers),
-        ],
-        "its format is": [save(good | layers, {"uarm-rl policy 99": "{}"})],
-        "another arm": [save(good | {"weight0": np.ones((5, 3), np.float32), "bias0": np.ones(3, np.float32)}, header)],
-        "not finite": [save(good | layers | {"bias2": np.full(3, np.nan, np.float32)}, header)],
-        "max_delta_rad": [save(good | layers, {"uarm-rl policy 1": "{}"})],
-    }
-    for sentence, contents in cases.items():
-        for content in contents:
-            path.write_bytes(content)
-            with pytest.raises(PolicyFileError, match=sentence):
-                ActorPolicy.load(path)
+    damaged = [
+        b"",
+        b"PK\x03\x04",
+        b"\x80\x04K\x01.",
+        os.urandom(200),
+        save({}),
+        save(good),
+        save(good, {"uarm-rl policy 1": "[]"}),
+    ]
+    for content in damaged:
+        path.write_bytes(content)
+        with pytest.raises(PolicyFileError, match="damaged or no policy"):
+            ActorPolicy.load(path)
+    path.write_bytes(save(good, {"uarm-rl policy 99": "{}"}))
+    with pytest.raises(PolicyFileError, match="its format is uarm-rl policy 99"):
+        ActorPolicy.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"layers": [(np.ones((5, 3), np.float32), np.ones(3, np.float32))]}, "another arm"),
+        ({"layers": [(np.full((20, 3), np.nan, np.float32), np.ones(3, np.float32))]}, "not finite"),
+        ({"scale": np.zeros(20, np.float32)}, "not finite"),
+        ({"metadata": {"max_delta_rad": 0.15}}, "lacks max_delta_rad or hold"),
+    ],
+)
+def test_policies_that_cannot_run_are_refused(tmp_path, change, sentence):
+    parts = {"layers": policy().layers, "offset": observation.OFFSET, "scale": observation.SCALE, "metadata": METADATA} | change
+    path = tmp_path / "policy.safetensors"
+    ActorPolicy(parts.pop("layers"), **parts).save(path)
+    with pytest.raises(PolicyFileError, match=sentence):
+        ActorPolicy.load(path)
 
 
 def test_policies_need_neither_torch_nor_pybullet():

@@ -16,6 +16,10 @@ class ArmError(Exception):
     """The arm or its world cannot do what was asked; the message is a sentence with the remedy."""
 
 
+class PhysicsError(ArmError):
+    """The simulated world no longer behaves like one: speeds or positions that no arm can have."""
+
+
 class Arm(Protocol):
     """Joint positions are joint1..joint3 in radians (chain angles of ``kinematics``). A context manager that closes."""
 
@@ -32,7 +36,7 @@ class Arm(Protocol):
         ...
 
     def advance(self) -> None:
-        """Let one control step pass."""
+        """Let one control step pass. Raises :class:`PhysicsError` when a simulated world explodes."""
         ...
 
     def close(self) -> None:

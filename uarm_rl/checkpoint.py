@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from uarm_rl import files
+
 Arrays = dict[str, NDArray[Any]]
 
 _PARTS = ("arrays.safetensors", "state.json")
@@ -30,7 +32,14 @@ class CheckpointError(ValueError):
 
 
 def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) -> None:
-    """Commit a checkpoint for ``episode`` and delete older ones. ``state`` must be JSON."""
+    """Commit a checkpoint for ``episode`` and delete older ones. ``state`` must be JSON.
+
+    Raises :class:`CheckpointError`, with nothing written, if an array holds a number that is not finite, and
+    :class:`OSError` if the disk does not take it; the checkpoint before is then still there.
+    """
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise CheckpointError(f"{name} holds numbers that are not finite, so it was not saved; the last checkpoint is good")
     final = run_dir / f"{_PREFIX}{episode:06d}"
     temporary = final.with_name(final.name + ".tmp")
     for stale in (temporary, final):
@@ -43,13 +52,10 @@ def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) ->
     }
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in parts.items()}
     for name, data in (parts | {"manifest.json": json.dumps(hashes, sort_keys=True).encode()}).items():
-        with open(temporary / name, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-    _sync_folder(temporary)
+        files.write_and_flush(temporary / name, data)
+    files.flush_folder(temporary)
     os.rename(temporary, final)
-    _sync_folder(run_dir)
+    files.flush_folder(run_dir)
     _verified_parts(final)
     for other in _folders(run_dir):
         if other != final:
@@ -85,11 +91,3 @@ def _verified_parts(folder: Path) -> dict[str, bytes]:
         if not isinstance(hashes, dict) or hashes.get(name) != hashlib.sha256(data).hexdigest():
             raise CheckpointError(f"{name} does not match its hash in manifest.json")
     return parts
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

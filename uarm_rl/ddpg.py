@@ -21,6 +21,10 @@ from uarm_rl.policy import ActorPolicy, scale
 from uarm_rl.replay import Batch
 
 
+class DivergenceError(ArithmeticError):
+    """A number of the training is not finite; the message names it."""
+
+
 class Network:
     """A fully connected network, ReLU after each hidden layer, linear at the output.
 
@@ -152,7 +156,10 @@ class DDPG:
         return ActorPolicy(layers, offset=observation.OFFSET, scale=observation.SCALE, metadata=metadata)
 
     def update(self, batch: Batch) -> dict[str, float]:
-        """One gradient step of critic and actor, one soft step of the targets. Returns the two losses."""
+        """One gradient step of critic and actor, one soft step of the targets. Returns the two losses.
+
+        Raises :class:`DivergenceError` when a loss is not finite, as it is in the update after a weight became so.
+        """
         # The moments of weights that no longer learn fade into denormal numbers, which are slow. Elsewhere in this
         # process (in the physics) they keep their meaning, so that it computes what it computes in a process of its own.
         torch.set_flush_denormal(True)
@@ -185,7 +192,16 @@ class DDPG:
         self._optimizers["actor"].step()
 
         self.target_parameters.lerp_(self.parameters, self.tau)
-        return {"critic_loss": error.square().mean().item(), "actor_loss": -q.mean().item()}
+        losses = {"critic_loss": error.square().mean().item(), "actor_loss": -q.mean().item()}
+        if not all(math.isfinite(loss) for loss in losses.values()):
+            raise DivergenceError(f"training diverged: {self._not_finite(batch)} no longer finite; the last checkpoint is good")
+        return losses
+
+    def _not_finite(self, batch: Batch) -> str:
+        """Names of what holds numbers that are not finite, causes before their consequences."""
+        fields = {f"the batch's {name}": torch.from_numpy(field) for name, field in batch._asdict().items()}
+        held = fields | {"the gradient": self._gradient} | self.tensors()
+        return ", ".join(name for name, tensor in held.items() if not tensor.isfinite().all()) or "the loss"
 
     def tensors(self) -> dict[str, Tensor]:
         """Everything an exact resume needs, by name: parameters, targets, both optimisers' moments and steps."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks, kinematics, positions
-from uarm_rl.arm import Arm, ArmError, JointPositions, Target
+from uarm_rl.arm import Arm, ArmError, JointPositions, PhysicsError, Target
 from uarm_rl.hold import Hold
 from uarm_rl.observation import SIZE, Observation, observe
 from uarm_rl.reward import DistanceReward
@@ -37,7 +37,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     *Step*: the reference acts until ``hold`` releases it. *Reward*: ``reward``, equation (4) of the paper.
 
     ``terminated``: success, the cup stayed within ``tolerance_m`` of the target for ``dwell_s`` without a break (the
-    flag). ``truncated``: ``time_limit_s`` of arm time has passed (``None``: no limit), or the object was pushed out of reach.
+    flag). ``truncated``: ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach,
+    or the simulation exploded (``info["exploded"]``; only a reset with ``home`` mends it).
 
     ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one) and ``home`` (default
     true; false leaves the arm where it is and only places a new object).
@@ -121,10 +122,14 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         start_joints, start_cup, start_object = self._joints, self._link_ends[3].tolist(), self._object
         clipped = self._command(action)
         trace = []
-        lost = timed_out = released = False
+        lost = timed_out = released = exploded = False
         while not (self._flag or lost or timed_out or released):
             last = self._joints
-            self.arm.advance()
+            try:
+                self.arm.advance()
+            except PhysicsError:
+                exploded = True
+                break
             lost = not self._sense()
             trace.append(self.state())
             timed_out = self._elapsed_steps >= self._step_limit
@@ -142,9 +147,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "reward_progress": terms.progress,
             "reward_displacement": terms.displacement,
             "object_lost": lost,
-            "trace": np.array(trace),
+            "exploded": exploded,
+            "trace": np.array(trace).reshape(-1, len(TRACE_COLUMNS)),
         }
-        return self._observe(), terms.total, self._flag, not self._flag and (lost or timed_out), info
+        return self._observe(), terms.total, self._flag, not self._flag and (lost or timed_out or exploded), info
 
     def _command(self, action: NDArray[np.float32]) -> bool:
         """Command the joints; true if the reference had to be cut at a limit."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+from uarm_rl import files
 
 
 class Logbook:
@@ -25,9 +26,9 @@ class Logbook:
             kept = lines[: keep_rows + 1]
             if not lines or lines[0] != header or len(kept) < keep_rows + 1 or not kept[-1].endswith("\n"):
                 raise ValueError(f"{path} does not hold the {keep_rows} rows that the checkpoint counts; start anew")
-            replace_text(path, "".join(kept))
+            files.replace(path, "".join(kept).encode())
         else:
-            replace_text(path, header)
+            files.replace(path, header.encode())
         self._file = open(path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (held until close)
 
     def add(self, row: Mapping[str, object]) -> None:
@@ -43,17 +44,8 @@ class Logbook:
 
 def write_rows(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
     """Write a whole CSV file, replacing an old one atomically."""
-    replace_text(path, "".join([_line(columns), *(_line([row[column] for column in columns]) for row in rows)]))
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Write a text file so that a crash leaves either the old or the new content, never a part."""
-    temporary = path.with_name(path.name + ".tmp")
-    with open(temporary, "w", encoding="utf-8", newline="") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    lines = [_line(columns), *(_line([row[column] for column in columns]) for row in rows)]
+    files.replace(path, "".join(lines).encode())
 
 
 def _line(values: Sequence[object]) -> str:

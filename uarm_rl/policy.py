@@ -5,8 +5,8 @@ Needs neither torch nor PyBullet, so that it runs on the lab machine beside the 
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl import kinematics, observation
+from uarm_rl import files, kinematics, observation
 
 Array = NDArray[np.float32]
 Layers = Sequence[tuple[Array, Array]]
@@ -69,21 +69,19 @@ class ActorPolicy:
 
     def save(self, path: Path) -> None:
         """Write the policy as one safetensors file, replacing an old one atomically."""
+        files.replace(path, self._encode())
+
+    def _encode(self) -> bytes:
+        """The file's bytes: a function of the policy, so that any other bytes are refused when read."""
         from safetensors.numpy import save
 
         tensors = {"offset": self.offset, "scale": self.scale}
         for number, (weight, bias) in enumerate(self.layers):
             tensors[f"weight{number}"], tensors[f"bias{number}"] = weight, bias
-        data = save(
-            {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()},
-            metadata={_FORMAT: json.dumps(self.metadata, sort_keys=True)},
-        )
-        temporary = path.with_name(path.name + ".tmp")
-        with open(temporary, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
+        text = json.dumps(self.metadata, sort_keys=True)
+        digest = hashlib.sha256(save(tensors) + text.encode()).hexdigest()
+        return save(tensors, metadata={_FORMAT: json.dumps({"policy": self.metadata, "sha256": digest}, sort_keys=True)})
 
     @classmethod
     def load(cls, path: Path) -> ActorPolicy:
@@ -99,14 +97,17 @@ class ActorPolicy:
             header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
             if _FORMAT not in header:
                 raise PolicyFileError(f"{path} is no policy of uarm-rl: its format is {', '.join(header)}, not {_FORMAT}")
-            metadata = json.loads(header[_FORMAT])
+            metadata = json.loads(header[_FORMAT])["policy"]
             count = sum(name.startswith("weight") for name in tensors)
             layers = [(tensors[f"weight{number}"], tensors[f"bias{number}"]) for number in range(count)]
             policy = cls(layers, offset=tensors["offset"], scale=tensors["scale"], metadata=metadata)
-        except (SafetensorError, KeyError, ValueError, TypeError) as error:
+            whole = policy._encode() == data
+        except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
             if isinstance(error, PolicyFileError):
                 raise
-            raise PolicyFileError(f"{path} is truncated, damaged or no policy of uarm-rl; train it again") from error
+            whole = False
+        if not whole:
+            raise PolicyFileError(f"{path} is truncated, damaged or no policy of uarm-rl; train it again")
         policy._check(path)
         return policy
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 import re
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uarm_rl import figures, statistics
+from uarm_rl import figures, files, statistics
 
 
 class ReportError(ValueError):
@@ -115,7 +113,7 @@ def report(results_dir: Path) -> str:
     cells = [_cells(row, trained=len(runs[method.folder])) for row, method in zip(table, methods, strict=True)]
     rewards = {folder: _over_seeds(rows, "position", _RETURNS) for folder, rows in evaluations.items()}
     learning = {folder: _learning_curve(rows) for folder, rows in progress.items()}
-    files = {
+    contents = {
         "table1.csv": _csv(pd.DataFrame(table)),
         "table1.md": _markdown(cells).encode(),
         "reward_curve.csv": _csv(_stacked(methods, rewards)),
@@ -125,8 +123,8 @@ def report(results_dir: Path) -> str:
             lambda figure: figures.draw_learning(figure, METHODS, learning, smoothed_over=SMOOTHING_EPISODES)
         ),
     }
-    _write(results_dir, files)
-    return "\n".join([_aligned(cells), "", *_remarks(runs), *(f"wrote {_shown(results_dir / name)}" for name in files)])
+    _write(results_dir, contents)
+    return "\n".join([_aligned(cells), "", *_remarks(runs), *(f"wrote {_shown(results_dir / name)}" for name in contents)])
 
 
 # From files to frames
@@ -323,13 +321,10 @@ def _shown(path: Path) -> Path:
     return path.absolute().relative_to(Path.cwd()) if path.absolute().is_relative_to(Path.cwd()) else path
 
 
-def _write(results_dir: Path, files: Mapping[str, bytes]) -> None:
-    """Replace the files, each atomically and none before all are on the disk."""
+def _write(results_dir: Path, contents: Mapping[str, bytes]) -> None:
+    """Replace the files, each atomically."""
     try:
-        with tempfile.TemporaryDirectory(prefix=".report-", dir=results_dir) as folder:
-            for name, content in files.items():
-                Path(folder, name).write_bytes(content)
-            for name in files:
-                os.replace(Path(folder, name), results_dir / name)
+        for name, content in contents.items():
+            files.replace(results_dir / name, content)
     except OSError as error:
         raise ReportError(f"{results_dir} cannot take the report ({error.strerror}); make it writable") from error

@@ -18,11 +18,11 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from uarm_rl import checkpoint, checks, observation
+from uarm_rl import checkpoint, checks, files, observation
 from uarm_rl.admission import Admission
 from uarm_rl.ddpg import DDPG
 from uarm_rl.env import ACTION_SIZE, UArmSuctionEnv
-from uarm_rl.logbook import Logbook, replace_text
+from uarm_rl.logbook import Logbook
 from uarm_rl.noise import Noise
 from uarm_rl.pipeline import InlineEnv, SubprocessEnv
 from uarm_rl.policy import ActorPolicy, Policy
@@ -71,7 +71,7 @@ def claim(run_dir: Path, config_text: str, *, resume: bool, overwrite: bool) -> 
                 f"{run_dir} was begun with another configuration (compare its {CONFIG}); resume it with the same one, "
                 "or choose another name"
             )
-        replace_text(run_dir / CONFIG, config_text)
+        files.replace(run_dir / CONFIG, config_text.encode())
         yield
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -13,7 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from uarm_rl.admission import Admission
-from uarm_rl.ddpg import DDPG
+from uarm_rl.ddpg import DDPG, DivergenceError
 from uarm_rl.noise import Noise
 from uarm_rl.policy import Policy
 from uarm_rl.replay import ReplayBuffer
@@ -32,6 +33,7 @@ COLUMNS: Final = (
     "decisions",
     "successes",
     "object_losses",
+    "explosions",
 )
 
 
@@ -108,7 +110,8 @@ def train(
         noise.reset()
         goal = replay.added + experiences_per_episode
         losses: dict[str, float] = {}
-        episode_return, successes, object_losses, first_decision = 0.0, 0, 0, counters.decisions
+        episode_return, successes, object_losses, explosions = 0.0, 0, 0, 0
+        first_decision = counters.decisions
         first_experience = replay.added
 
         while replay.added < goal and counters.decisions < first_decision + max_decisions_per_episode:
@@ -119,14 +122,17 @@ def train(
                 counters.updates += 1
             next_observation, reward, terminated, truncated, info = env.receive()
 
-            if admission.admits(info["clipped"], info["travel_rad"]):
+            if not (math.isfinite(reward) and np.isfinite(next_observation).all()):
+                raise DivergenceError(f"the environment returned reward {reward!r} and observation {next_observation!r}")
+            if not info["exploded"] and admission.admits(info["clipped"], info["travel_rad"]):
                 replay.add(observation, action, reward, next_observation, terminated)
             counters.decisions += 1
             counters.control_steps += info["control_steps"]
             episode_return += reward
             successes += terminated
             object_losses += info["object_lost"]
-            observation = env.reset(home=False) if terminated or truncated else next_observation
+            explosions += info["exploded"]
+            observation = env.reset(home=info["exploded"]) if terminated or truncated else next_observation
 
         counters.episode += 1
         counters.wall_s += time.perf_counter() - began
@@ -141,6 +147,7 @@ def train(
             "decisions": counters.decisions,
             "successes": successes,
             "object_losses": object_losses,
+            "explosions": explosions,
         }
         if end_of_episode(row | losses):
             return

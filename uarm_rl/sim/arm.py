@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks, kinematics
-from uarm_rl.arm import ArmError, JointPositions
+from uarm_rl.arm import ArmError, JointPositions, PhysicsError
 from uarm_rl.kinematics import Vector
 from uarm_rl.sim.servo import Servo
 
@@ -43,6 +43,8 @@ with _silent(2):
 _JOINTS = (0, 1, 2, 3)
 _CUP = 4
 _TORQUE_NM = (1.18, 1.18, 1.18, 1.18)  # the data sheet's 12 kgf cm
+_SLACK_RAD = 0.1  # contact may push a joint past its limit by a little, never by this much
+_EXPLODED_RAD_S = 1e3
 _PARKED_M = (0.0, 0.6, 0.0)  # the object's place, on the table and out of reach, until it is placed
 _LOST_TILT = math.cos(math.radians(30.0))
 
@@ -166,6 +168,10 @@ class SimArm:
                 arm, _JOINTS, bullet.VELOCITY_CONTROL, targetVelocities=velocities, forces=_TORQUE_NM, physicsClientId=client
             )
             bullet.stepSimulation(physicsClientId=client)
+        if not (
+            abs(v1) + abs(v2) + abs(v3) < _EXPLODED_RAD_S and kinematics.within_limits((q1, q2, q3), _SLACK_RAD)
+        ):  # NaN too
+            raise PhysicsError(f"the joints are at ({q1:g}, {q2:g}, {q3:g}) rad, asked for ({v1:g}, {v2:g}, {v3:g}) rad/s")
 
     def place_object(self, top_m: Sequence[float] | Vector) -> None:
         x, y, z = (float(value) for value in top_m)
@@ -178,7 +184,7 @@ class SimArm:
         (x, y, z), (a, b, c, d) = bullet.getBasePositionAndOrientation(self._object, physicsClientId=self._client)
         # Third column of the rotation matrix: the direction of the box's upward normal.
         up_x, up_y, up_z = 2.0 * (a * c + b * d), 2.0 * (b * c - a * d), 1.0 - 2.0 * (a * a + b * b)
-        if up_z < _LOST_TILT or z < 0.0:
+        if not (up_z >= _LOST_TILT and z >= 0.0):  # fallen over, off the table, or no number
             return None
         half = self._object_size_m / 2.0
         return x + half * up_x, y + half * up_y, z + half * up_z
