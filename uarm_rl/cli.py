@@ -97,12 +97,14 @@ def build_env(
     render_mode: str | None = None,
     picture_size: tuple[int, int] = (480, 360),
 ) -> UArmSuctionEnv:
-    """The suction task over the simulated arm, from a whole training configuration."""
+    """The suction task over the simulated arm, from a whole training configuration.
+
+    A window opens for ``render_mode="human"`` alone: ``sim.gui`` is for the one environment that somebody watches.
+    """
     from uarm_rl.env import UArmSuctionEnv
     from uarm_rl.sim.arm import SimArm
 
-    sim = dict(settings["sim"])
-    sim["gui"] = sim["gui"] or render_mode == "human"
+    sim = settings["sim"] | {"gui": render_mode == "human"}
     try:
         arm = SimArm(build("servo", settings["servo"]), control_hz=settings["control_hz"], **sim)
     except TypeError as error:
@@ -126,6 +128,7 @@ def build_env(
 def make_env(overrides: tuple[str, ...] = (), render_mode: str | None = None) -> UArmSuctionEnv:
     """Entry point of ``gymnasium.make("uarm_rl/UArmSuction-v0")``; ``overrides`` as on the command line of train."""
     settings = compose("train", overrides)
+    render_mode = render_mode or ("human" if settings["sim"]["gui"] else None)
     return build_env(settings, time_limit_s=settings["time_limit_s"], render_mode=render_mode)
 
 
@@ -157,7 +160,7 @@ def train(settings: Settings) -> None:
     import torch
     import yaml
 
-    from uarm_rl import positions, session
+    from uarm_rl import checks, positions, session
     from uarm_rl.env import ACTION_SIZE
     from uarm_rl.evaluate import success_rate
     from uarm_rl.observation import SIZE
@@ -170,10 +173,11 @@ def train(settings: Settings) -> None:
         print(f"{run_dir} is finished; nothing to do")
         return
     schedule = session.Schedule(**{name: settings[name] for name in session.Schedule.__dataclass_fields__})
-    seeds = np.random.SeedSequence(_seed(settings["seed"])).spawn(4)
+    seeds = np.random.SeedSequence(checks.integer("seed", settings["seed"], low=0)).spawn(4)
     env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
     # Everything is built, and so every value checked, before the folder is touched.
-    make_training_env = partial(build_env, settings, time_limit_s=None)
+    watched = "human" if checks.boolean("sim.gui", settings["sim"]["gui"]) else None
+    make_training_env = partial(build_env, settings, time_limit_s=None, render_mode=watched)
     validation_env = build_env(settings, time_limit_s=settings["time_limit_s"])
     networks = torch.Generator().manual_seed(network_seed)
     agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=networks)
@@ -189,7 +193,8 @@ def train(settings: Settings) -> None:
     validation_positions = positions.load_packaged("validation_positions.csv")
 
     transient = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
-    config = yaml.safe_dump({key: value for key, value in settings.items() if key not in transient}, sort_keys=False)
+    kept = {key: value for key, value in settings.items() if key not in transient}
+    config = yaml.safe_dump(kept | {"sim": settings["sim"] | {"gui": False}}, sort_keys=False)
     with session.claim(run_dir, config, resume=settings["resume"], overwrite=settings["overwrite"]):
         spare = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=torch.Generator())
         seconds = session.estimate_s(schedule, spare, validation_env, beside=settings["simulate_beside"])
@@ -218,12 +223,6 @@ def train(settings: Settings) -> None:
     else:
         print(f"stopped: {run_dir}; the same command with resume=true continues it")
         raise SystemExit(130)
-
-
-def _seed(seed: object) -> int:
-    from uarm_rl import checks
-
-    return checks.integer("seed", seed, low=0)
 
 
 def _policy_metadata(settings: Settings) -> Settings:
@@ -369,7 +368,8 @@ def render(settings: Settings) -> None:
     out = Path(settings["out"]) if settings["out"] else run_dir / "episode.gif"
     size = (checks.integer("width", settings["width"], low=64), checks.integer("height", settings["height"], low=64))
     episodes = checks.integer("episodes", settings["episodes"], low=1)
-    resets: list[dict[str, Any]] = [{"seed": _seed(settings["seed"]) + number} for number in range(episodes)]
+    first_seed = checks.integer("seed", settings["seed"], low=0)
+    resets: list[dict[str, Any]] = [{"seed": first_seed + number} for number in range(episodes)]
     if settings["position"] is not None:
         resets = [{"options": {"object_position": np.array(settings["position"], np.float64)}}]
     time_limit_s = run_settings["time_limit_s"]

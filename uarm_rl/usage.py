@@ -29,6 +29,7 @@ EXAMPLES: Final = {
     "report": (
         "uarm-rl report                                      table1.md, table1.csv and the pictures in results/",
         "uarm-rl report results_dir=demo                     the same for another folder of runs",
+        "uarm-rl evaluate && uarm-rl report                  test what is new, then report",
     ),
     "render": (
         "uarm-rl render run=results/adaptive-penalty/seed0   episode.gif in the run's folder",
