@@ -7,7 +7,7 @@ PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do \
 DEMO_EPISODES ?= 120
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench torture clean
 
 demo: $(VENV)/.installed  ## train method C for a short budget, test it on the 100 positions, write the report
 	$(BIN)/uarm-rl train experiment=C episodes=$(DEMO_EPISODES) results_dir=demo resume=true
@@ -26,6 +26,9 @@ check: $(VENV)/.installed-dev  ## formatting, lint and types
 
 bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side; about 10 minutes
 	$(BIN)/python benchmarks/bench.py
+
+torture: $(VENV)/.installed-test  ## kill trainings, fail saves, damage files; about 10 minutes
+	$(BIN)/python -m tests.torture --out tests/torture.csv
 
 $(VENV)/bin/python:
 	@[ -n "$(PYTHON)" ] || { echo "uarm-rl needs Python 3.10 or 3.11 (PyBullet has no wheels for others): install one, or name it with PYTHON=/path/to/python3.11"; exit 1; }

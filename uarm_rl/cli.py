@@ -199,7 +199,8 @@ def train(settings: Settings) -> None:
         spare = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=torch.Generator())
         seconds = session.estimate_s(schedule, spare, validation_env, beside=settings["simulate_beside"])
         experiences = schedule.episodes * schedule.experiences_per_episode
-        print(f"{run_dir}: {experiences:,} decisions and gradient steps in all, about {max(1, round(seconds / 60))} min")
+        duration = f"about {round(seconds / 60)} min" if seconds > 60 else "less than a minute"
+        print(f"{run_dir}: {experiences:,} decisions and gradient steps in all, {duration}")
         env = (SubprocessEnv if settings["simulate_beside"] else InlineEnv)(make_training_env, env_seed)
         try:
             finished = session.run(

@@ -1,0 +1,347 @@
+"""Runs that survive anything, proved: kill trainings at random instants, fail every call of a save, flip every bit.
+
+    python -m tests.torture [--trials 300] [--out FILE]     (or: make torture)
+
+Prints a table and exits with 1 if anything differed from what was promised. Every harness
+has a control: a deliberately broken variant that it must catch, or it proves nothing. Trainings are forked from one
+process that has loaded everything, so that a trial takes a second; what is killed is a process all the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import errno
+import hashlib
+import itertools
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+from unittest import mock
+
+import numpy as np
+
+from uarm_rl import checkpoint, cli, files, session
+from uarm_rl.logbook import write_rows
+from uarm_rl.policy import ActorPolicy, PolicyFileError
+
+#: Two seconds of training: a checkpoint after every episode, a ring that wraps around.
+TOY = (
+    "episodes=6",
+    "experiences_per_episode=20",
+    "max_decisions_per_episode=80",
+    "warmup_experiences=20",
+    "batch_size=8",
+    "agent.hidden=[16,16]",
+    "buffer.capacity=70",
+    "validate_every=3",
+    "checkpoint_every=1",
+    "time_limit_s=0.2",
+    "simulate_beside=false",
+    "resume=true",
+)
+METHODS = ("A", "B", "C", "D")
+
+
+class Row(NamedTuple):
+    """One line of the table."""
+
+    what: str
+    trials: int
+    failures: int
+    bound: str  # upper end of the 95 % interval of the failure rate, where trials are random
+    control: str
+
+
+def bound(trials: int, failures: int) -> str:
+    """The rate that so many random trials without a failure exclude with 95 % confidence."""
+    return f"< {1.0 - 0.05 ** (1.0 / trials):.2%}" if trials and not failures else ""
+
+
+# Trainings, and their end
+
+
+def fork(work: Callable[[], object]) -> int:
+    """Run ``work`` in a child process, silently; its process id."""
+    if child := os.fork():
+        return child
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 1)
+    os.dup2(null, 2)
+    try:
+        work()
+    except SystemExit as stop:
+        os._exit(stop.code if isinstance(stop.code, int) else 1)
+    except BaseException:
+        os._exit(70)
+    os._exit(0)
+
+
+def outcome(run: Path) -> str:
+    """One hash of what must be identical: policy, configuration, and progress without the wall time."""
+    with open(run / session.PROGRESS, newline="") as file:
+        rows = [{key: value for key, value in row.items() if key != "wall_s"} for row in csv.DictReader(file)]
+    parts = [(run / session.POLICY).read_bytes(), (run / session.CONFIG).read_bytes(), repr(rows).encode()]
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
+
+
+def settings_of(method: str, folder: Path) -> tuple[dict, Path]:
+    settings = cli.compose("train", (f"experiment={method}", *TOY, f"results_dir={folder}"))
+    return settings, folder / settings["name"] / "seed0"
+
+
+def finish(settings: dict) -> bool:
+    """Resume until the end, in a process of its own; true if it got there."""
+    return os.waitpid(fork(lambda: cli.train(settings)), 0)[1] == 0
+
+
+def kill_after(settings: dict, delay_s: float) -> None:
+    child = fork(lambda: cli.train(settings))
+    time.sleep(delay_s)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+
+
+@contextmanager
+def counted_calls(at: int, act: Callable[[], object]) -> Iterator[list[int]]:
+    """Call ``act`` before the ``at``-th call of the operating system that commits something; yields the count."""
+    count = [0]
+
+    def wrap(real: Callable) -> Callable:
+        def call(*arguments, **keywords):
+            count[0] += 1
+            if count[0] == at:
+                act()
+            return real(*arguments, **keywords)
+
+        return call
+
+    names = ("fsync", "rename", "replace", "mkdir", "unlink", "rmdir")
+    patches = [mock.patch.object(os, name, wrap(getattr(os, name))) for name in names]
+    for patch in patches:
+        patch.start()
+    try:
+        yield count
+    finally:
+        for patch in patches:
+            patch.stop()
+
+
+def kill_inside_save(settings: dict, at: int) -> None:
+    """Train, and die at the ``at``-th committing call; not on the way out, but in the middle of it."""
+
+    def work() -> None:
+        with counted_calls(at, lambda: os.kill(os.getpid(), signal.SIGKILL)):
+            cli.train(settings)
+
+    os.waitpid(fork(work), 0)
+
+
+def kills(trials: int, generator: np.random.Generator, folder: Path, *, inside_save: bool) -> tuple[int, int]:
+    """Kill each of ``trials`` runs one to three times and let it finish; (kills, runs that end differently)."""
+    expected, duration_s = {}, 0.0
+    for method in METHODS:
+        settings, run = settings_of(method, folder / "whole" / method)
+        begin = time.perf_counter()
+        assert finish(settings), f"the uninterrupted run of {method} failed"
+        duration_s = max(duration_s, time.perf_counter() - begin)
+        expected[method] = outcome(run)
+    seeds = generator.integers(2**63, size=trials).tolist()
+    tasks = [
+        (folder / f"trial{n}", method, seed, duration_s, inside_save)
+        for n, (method, seed) in enumerate(zip(itertools.cycle(METHODS), seeds, strict=False))
+    ]
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), multiprocessing.get_context("fork")) as pool:
+        results = list(pool.map(kill_and_finish, tasks))
+    return sum(kills for kills, _, _ in results), sum(outcome != expected[method] for _, method, outcome in results)
+
+
+def kill_and_finish(task: tuple[Path, str, int, float, bool]) -> tuple[int, str, str]:
+    """One trial: kill a run one to three times, then let it finish; (kills, method, outcome)."""
+    folder, method, seed, duration_s, inside_save = task
+    generator = np.random.default_rng(seed)
+    settings, run = settings_of(method, folder)
+    kills = int(generator.integers(1, 4))
+    for _ in range(kills):
+        if inside_save:
+            kill_inside_save(settings, int(generator.integers(1, 70)))
+        else:
+            kill_after(settings, generator.uniform(0.0, duration_s))
+    ended = outcome(run) if finish(settings) else "did not finish"
+    shutil.rmtree(folder)
+    return kills, method, ended
+
+
+# Controls: what each harness must catch
+
+
+def forgetting_the_noise() -> mock._patch:
+    """A resume that does not restore the noise's generator."""
+    restore = session._restore
+
+    def broken(saved, env, agent, replay, noise, counters):
+        before = noise.generator.bit_generator.state
+        restore(saved, env, agent, replay, noise, counters)
+        noise.generator.bit_generator.state = before
+
+    return mock.patch.object(session, "_restore", broken)
+
+
+def saving_in_place() -> mock._patch:
+    """A save that writes where it reads: the checkpoint's final folder, emptied first, without a manifest to check."""
+
+    def broken(run_dir, episode, arrays, state):
+        folder = run_dir / "checkpoint-000000"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        parts = {"arrays.safetensors": checkpoint.save(arrays), "state.json": checkpoint.json.dumps(state).encode()}
+        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in parts.items()}
+        for name, data in (parts | {"manifest.json": checkpoint.json.dumps(hashes).encode()}).items():
+            files.write_and_flush(folder / name, data)
+
+    return mock.patch.object(checkpoint, "write", broken)
+
+
+def trusting() -> mock._patch:
+    """A reader that does not look at hashes."""
+    parts = ("arrays.safetensors", "state.json")
+    return mock.patch.object(
+        checkpoint, "_verified_parts", lambda folder: {name: (folder / name).read_bytes() for name in parts}
+    )
+
+
+# Files
+
+
+def small_checkpoint(folder: Path) -> Path:
+    arrays = {"agent/parameters": np.arange(12, dtype=np.float32), "replay/rows": np.ones((2, 5), np.float32)}
+    checkpoint.write(folder, 1, arrays, {"counters": {"episode": 1}, "noise": [0.5, -0.25]})
+    return folder / "checkpoint-000001"
+
+
+def accepted(read: Callable[[], object]) -> bool:
+    """Whether a damaged file is taken for a good one; another error than the typed one counts as accepted too."""
+    try:
+        read()
+    except (checkpoint.CheckpointError, PolicyFileError):
+        return False
+    except Exception:
+        return True
+    return True
+
+
+def damaged(path: Path, read: Callable[[], object]) -> tuple[int, int]:
+    """Flip every bit of a file and cut it at every length; (trials, damages that were not refused)."""
+    whole = path.read_bytes()
+    trials = taken = 0
+    for bit in range(8 * len(whole)):
+        data = bytearray(whole)
+        data[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(data)
+        taken += accepted(read)
+        trials += 1
+    for length in range(len(whole)):
+        path.write_bytes(whole[:length])
+        taken += accepted(read)
+        trials += 1
+    path.write_bytes(whole)
+    return trials, taken
+
+
+def damaged_checkpoint(folder: Path) -> tuple[int, int]:
+    saved = small_checkpoint(folder)
+    results = [damaged(path, lambda: checkpoint.read_latest(folder)) for path in sorted(saved.iterdir())]
+    return sum(trials for trials, _ in results), sum(taken for _, taken in results)
+
+
+def damaged_policy(folder: Path) -> tuple[int, int]:
+    path = folder / "policy.safetensors"
+    layers = [(np.full((20, 3), 0.5, np.float32), np.zeros(3, np.float32))]
+    ones = np.ones(20, np.float32)
+    ActorPolicy(layers, offset=ones, scale=ones, metadata={"max_delta_rad": 0.15, "hold": {"name": "fixed"}}).save(path)
+    return damaged(path, lambda: ActorPolicy.load(path))
+
+
+def failing_saves(folder: Path) -> tuple[int, int]:
+    """Let each committing call of a save fail in each way; (trials, saves that lied or lost the last good one)."""
+    trials = wrong = 0
+    for error in (errno.ENOSPC, errno.EIO, errno.EACCES, errno.EROFS):
+        for at in itertools.count(1):
+            run = folder / f"{error}-{at}"
+            run.mkdir()
+            small_checkpoint(run)
+
+            def fail(error=error) -> None:
+                raise OSError(error, os.strerror(error), "the disk")
+
+            with counted_calls(at, fail) as count:
+                try:
+                    checkpoint.write(run, 2, {"agent/parameters": np.zeros(3, np.float32)}, {})
+                    claimed = True
+                except OSError:
+                    claimed = False
+            if count[0] < at:
+                break
+            latest = checkpoint.read_latest(run)
+            wrong += latest is None or (claimed and latest[0] != 2)
+            trials += 1
+    return trials, wrong
+
+
+def table(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
+    generator = np.random.default_rng(seed)
+    inside = trials // 3
+    for title, count, is_inside, control in (
+        ("runs killed at a random instant, resumed", trials - inside, False, forgetting_the_noise),
+        ("runs killed inside a save, resumed", inside, True, saving_in_place),
+    ):
+        killed, different = kills(count, generator, folder / control.__name__, inside_save=is_inside)
+        with control():
+            _, caught = kills(controls, generator, folder / f"{control.__name__}-control", inside_save=is_inside)
+        words = f"{control.__name__.replace('_', ' ')}: {caught} of {controls} differ"
+        yield Row(
+            f"{title} ({killed} kills)", count, different, bound(count, different), words if caught else f"NOT CAUGHT: {words}"
+        )
+    (folder / "saves").mkdir()
+    yield Row("saves with one call that fails", *failing_saves(folder / "saves"), "exhaustive", "")
+    for name, harness in (("checkpoint", damaged_checkpoint), ("policy", damaged_policy)):
+        (folder / name).mkdir()
+        done, taken = harness(folder / name)
+        words = ""
+        if name == "checkpoint":
+            (folder / "trusting").mkdir()
+            with trusting():
+                caught = harness(folder / "trusting")[1]
+            words = f"trusting: {caught} taken" if caught else "NOT CAUGHT: trusting"
+        yield Row(f"damaged {name} files, every bit and length", done, taken, "exhaustive", words)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=300, help="runs that are killed, a third of them inside a save")
+    parser.add_argument("--controls", type=int, default=16, help="runs of each broken variant")
+    parser.add_argument("--seed", type=int, default=0, help="of the instants")
+    parser.add_argument("--out", type=Path, help="CSV file for the table")
+    arguments = parser.parse_args()
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for row in table(arguments.trials, arguments.controls, arguments.seed, Path(folder)):
+            rows.append(row)
+            print(f"{row.what:58} {row.trials:6} trials  {row.failures:3} failures  {row.bound:12} {row.control}", flush=True)
+    if arguments.out:
+        write_rows(arguments.out, Row._fields, [row._asdict() for row in rows])
+    sys.exit(any(row.failures or row.control.startswith("NOT") for row in rows))
+
+
+if __name__ == "__main__":
+    main()
