@@ -307,10 +307,10 @@ def table(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
         killed, different = kills(count, generator, folder / control.__name__, inside_save=is_inside)
         with control():
             _, caught = kills(controls, generator, folder / f"{control.__name__}-control", inside_save=is_inside)
-        words = f"{control.__name__.replace('_', ' ')}: {caught} of {controls} differ"
-        yield Row(
-            f"{title} ({killed} kills)", count, different, bound(count, different), words if caught else f"NOT CAUGHT: {words}"
-        )
+        words = f"{control.__name__.replace('_', ' ')}: {caught} of {controls} differ" if controls else "not run"
+        if controls and not caught:
+            words = f"NOT CAUGHT: {words}"
+        yield Row(f"{title} ({killed} kills)", count, different, bound(count, different), words)
     (folder / "saves").mkdir()
     yield Row("saves with one call that fails", *failing_saves(folder / "saves"), "exhaustive", "")
     for name, harness in (("checkpoint", damaged_checkpoint), ("policy", damaged_policy)):
