@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do \
 	"$$name" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 11))' 2>/dev/null && { echo "$$name"; break; }; done)
-DEMO_EPISODES ?= 120
+DEMO_EPISODES ?= 100
 export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo test check bench torture clean
