@@ -7,6 +7,7 @@ the small dicts below, never by a dotted path in a file: the configuration in a 
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -212,6 +213,7 @@ def train(settings: Settings) -> None:
                 admission,
                 noise,
                 schedule,
+                value_range=_value_range(settings),
                 validate=lambda policy: success_rate(validation_env, policy, validation_positions),
                 tensorboard=settings["tensorboard"],
                 say=print,
@@ -224,6 +226,16 @@ def train(settings: Settings) -> None:
     else:
         print(f"stopped: {run_dir}; the same command with resume=true continues it")
         raise SystemExit(130)
+
+
+def _value_range(settings: Settings) -> tuple[float, float]:
+    """Lowest and highest value that a state can have: a step's reward at its bounds, for ever."""
+    from uarm_rl.kinematics import HEIGHT_M, REACH_M
+
+    gamma = settings["agent"]["gamma"]
+    horizon = 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
+    lowest, highest = build("reward", settings["reward"]).bounds(2.0 * REACH_M, HEIGHT_M)
+    return lowest * horizon, highest * horizon
 
 
 def _policy_metadata(settings: Settings) -> Settings:

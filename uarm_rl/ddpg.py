@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -19,6 +19,9 @@ from torch import Tensor
 from uarm_rl import checks, observation
 from uarm_rl.policy import ActorPolicy, scale
 from uarm_rl.replay import Batch
+
+#: An output of the actor beyond this counts as saturated: the slope of its tanh is below 0.02.
+_SATURATED: Final = 0.99
 
 
 class DivergenceError(ArithmeticError):
@@ -156,7 +159,10 @@ class DDPG:
         return ActorPolicy(layers, offset=observation.OFFSET, scale=observation.SCALE, metadata=metadata)
 
     def update(self, batch: Batch) -> dict[str, float]:
-        """One gradient step of critic and actor, one soft step of the targets. Returns the two losses.
+        """One gradient step of critic and actor, one soft step of the targets.
+
+        Returns the two losses, the range of Q(s, mu(s)) over the batch, and ``saturation``, the share of the actor's
+        outputs so close to -1 or 1 that hardly any gradient comes back through the tanh.
 
         Raises :class:`DivergenceError` when a loss is not finite, as it is in the update after a weight became so.
         """
@@ -192,10 +198,17 @@ class DDPG:
         self._optimizers["actor"].step()
 
         self.target_parameters.lerp_(self.parameters, self.tau)
-        losses = {"critic_loss": error.square().mean().item(), "actor_loss": -q.mean().item()}
-        if not all(math.isfinite(loss) for loss in losses.values()):
+        lowest, highest = q.aminmax()
+        metrics = {
+            "critic_loss": error.square().mean().item(),
+            "actor_loss": -q.mean().item(),
+            "q_min": lowest.item(),
+            "q_max": highest.item(),
+            "saturation": action.abs().gt_(_SATURATED).mean().item(),
+        }
+        if not all(math.isfinite(metric) for metric in metrics.values()):
             raise DivergenceError(f"training diverged: {self._not_finite(batch)} no longer finite; the last checkpoint is good")
-        return losses
+        return metrics
 
     def _not_finite(self, batch: Batch) -> str:
         """Names of what holds numbers that are not finite, causes before their consequences."""

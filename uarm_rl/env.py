@@ -146,6 +146,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "reward_distance": terms.distance,
             "reward_progress": terms.progress,
             "reward_displacement": terms.displacement,
+            "object_moved_m": math.dist(start_object, self._object),
             "object_lost": lost,
             "exploded": exploded,
             "trace": np.array(trace).reshape(-1, len(TRACE_COLUMNS)),

@@ -28,6 +28,9 @@ FOREARM_M: Final = 0.15881  # elbow to wrist
 CUP_FORWARD_M: Final = 0.05665  # wrist to suction cup, tool mode 0
 CUP_DOWN_M: Final = 0.07455  # wrist to the tip of the suction cup, tool mode 0
 
+REACH_M: Final = SHOULDER_FORWARD_M + LOWER_ARM_M + FOREARM_M + CUP_FORWARD_M  # no cup is farther from the base axis
+HEIGHT_M: Final = SHOULDER_HEIGHT_M + LOWER_ARM_M + FOREARM_M  # nor higher above the table
+
 #: Limits of the motor angles in degrees, firmware V4.8 and later.
 MOTOR_LIMITS_DEG: Final = {"B": (0.0, 180.0), "L": (-4.0, 135.6), "R": (-4.0, 119.9)}
 #: Limits of the elbow opening 180 - L - R in degrees: the coupled limit.

@@ -50,6 +50,12 @@ class DistanceReward:
         horizontal = math.hypot(cup_m[0] - object_m[0], cup_m[1] - object_m[1])
         return self.alpha_d * horizontal + self.beta_d * abs(cup_m[2] - object_m[2])
 
+    def bounds(self, horizontal_m: float, vertical_m: float) -> tuple[float, float]:
+        """Lowest and highest reward of a step, if no distance or displacement exceeds these two (m)."""
+        farthest = self.alpha_d * horizontal_m + self.beta_d * vertical_m
+        lowest = (self.alpha + self.beta) * farthest + self.sigma * math.hypot(horizontal_m, vertical_m)
+        return lowest, -self.beta * farthest
+
     def __call__(
         self, cup_m: Sequence[float], object_m: Sequence[float], next_cup_m: Sequence[float], next_object_m: Sequence[float]
     ) -> RewardTerms:

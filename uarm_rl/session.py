@@ -7,9 +7,10 @@ it has finished: that file is what tells a finished run.
 from __future__ import annotations
 
 import fcntl
+import math
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,6 +33,9 @@ from uarm_rl.train import COLUMNS, Counters, stop_on_signals, train
 POLICY: Final = "policy.safetensors"
 CONFIG: Final = "config.yaml"
 PROGRESS: Final = "progress.csv"
+
+#: An actor with more of its outputs saturated than this has hardly any gradient left to learn from.
+SATURATION_LIMIT: Final = 0.9
 
 
 class RunFolderError(Exception):
@@ -130,11 +134,15 @@ def run(
     noise: Noise,
     schedule: Schedule,
     *,
+    value_range: tuple[float, float],
     validate: Callable[[Policy], float],
     tensorboard: bool,
     say: Callable[[str], None],
 ) -> bool:
-    """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop."""
+    """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop.
+
+    ``value_range`` are the lowest and highest return that the task allows: a critic outside it raises a warning.
+    """
     counters = Counters()
     saved = checkpoint.read_latest(run_dir)
     if saved:
@@ -151,6 +159,7 @@ def run(
             last = counters.episode == schedule.episodes
             if last or counters.episode % schedule.validate_every == 0:
                 row["validation_success_rate"] = validate(policy)
+            row["warning"] = warning(row, value_range)
             log.add(row)
             if write_scalars:
                 write_scalars(row)
@@ -178,6 +187,19 @@ def run(
         return False
     policy.save(run_dir / POLICY)
     return True
+
+
+def warning(row: Mapping[str, object], value_range: tuple[float, float]) -> str:
+    """What an episode's row of the log says of a training that goes wrong without failing; empty if nothing."""
+    lowest, highest = value_range
+    metrics = {name: row.get(name) for name in ("q_min", "q_max", "saturation")}
+    q_min, q_max, saturation = (value if isinstance(value, float) else math.nan for value in metrics.values())
+    problems = []
+    if q_min < lowest or q_max > highest:
+        problems.append(f"critic in [{q_min:.4g}, {q_max:.4g}], possible is [{lowest:.4g}, {highest:.4g}]")
+    if saturation > SATURATION_LIMIT:
+        problems.append(f"actor saturated in {saturation:.0%} of its outputs")
+    return "; ".join(problems)
 
 
 def _save(
@@ -236,6 +258,7 @@ class _Bar:
         self._bar = bar
         self._before = (counters.decisions, counters.wall_s)
         self._validation = "-"
+        self._warning = ""
         self._counters = counters
 
     def write(self, text: str) -> None:
@@ -244,10 +267,15 @@ class _Bar:
     def show(self, row: dict[str, object]) -> None:
         if "validation_success_rate" in row:
             self._validation = f"{row['validation_success_rate']:.0%}"
+        if row["warning"] and not self._warning:
+            self.write(f"warning: episode {row['episode']}: {row['warning']}")
+        self._warning = str(row["warning"])
         decisions, wall_s = self._before
         rate = (self._counters.decisions - decisions) / max(1e-9, self._counters.wall_s - wall_s)
+        alarm = ", WARNING" if self._warning else ""
         self._bar.set_postfix_str(
-            f"success {self._validation}, admitted {row['admission_rate']:.0%}, {rate:.0f} decisions/s", refresh=False
+            f"success {self._validation}, admitted {row['admission_rate']:.0%}, {rate:.0f} decisions/s{alarm}",
+            refresh=False,
         )
         self._bar.update()
 

@@ -34,6 +34,11 @@ COLUMNS: Final = (
     "successes",
     "object_losses",
     "explosions",
+    "object_moved_m",
+    "q_min",
+    "q_max",
+    "saturation",
+    "warning",
 )
 
 
@@ -109,8 +114,8 @@ def train(
         observation = env.reset(home=True)
         noise.reset()
         goal = replay.added + experiences_per_episode
-        losses: dict[str, float] = {}
-        episode_return, successes, object_losses, explosions = 0.0, 0, 0, 0
+        metrics: dict[str, float] = {}
+        episode_return, object_moved_m, successes, object_losses, explosions = 0.0, 0.0, 0, 0, 0
         first_decision = counters.decisions
         first_experience = replay.added
 
@@ -118,7 +123,7 @@ def train(
             action = np.clip(policy.act(observation) + noise(replay.added / total), -1.0, 1.0, dtype=np.float32)
             env.send(action)
             while counters.updates < replay.added - warmup_experiences:
-                losses = agent.update(replay.sample(batch_size))
+                metrics = agent.update(replay.sample(batch_size))
                 counters.updates += 1
             next_observation, reward, terminated, truncated, info = env.receive()
 
@@ -129,6 +134,7 @@ def train(
             counters.decisions += 1
             counters.control_steps += info["control_steps"]
             episode_return += reward
+            object_moved_m += info["object_moved_m"]
             successes += terminated
             object_losses += info["object_lost"]
             explosions += info["exploded"]
@@ -148,6 +154,7 @@ def train(
             "successes": successes,
             "object_losses": object_losses,
             "explosions": explosions,
+            "object_moved_m": object_moved_m,
         }
-        if end_of_episode(row | losses):
+        if end_of_episode(row | metrics):
             return
