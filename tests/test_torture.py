@@ -14,6 +14,6 @@ def test_the_small_torture_finds_nothing(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     with open(tmp_path / "table.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["failures"]) for row in rows] == [0] * 5
-    assert [int(row["trials"]) for row in rows][:2] == [4, 2]
-    assert all(int(row["trials"]) > 40 for row in rows[2:])
+    assert [int(row["failures"]) for row in rows] == [0] * 8
+    assert [int(row["trials"]) for row in rows][:4] == [4, 2, 2, 2]
+    assert all(int(row["trials"]) > 40 for row in rows[4:])

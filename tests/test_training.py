@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import itertools
+import re
 import signal
 import subprocess
 import sys
@@ -11,7 +13,9 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import FAST
-from uarm_rl import checkpoint, cli
+from uarm_rl import checkpoint, cli, evaluate
+from uarm_rl.ddpg import DDPG
+from uarm_rl.env import UArmSuctionEnv
 from uarm_rl.session import RunFolderError
 
 
@@ -63,6 +67,43 @@ def test_simulating_beside_gives_the_same_numbers(tmp_path):
     settings = cli.compose("train", (*FAST, f"results_dir={tmp_path / 'b'}", "simulate_beside=true"))
     cli.train(settings)
     assert outcome(tmp_path / "b" / settings["name"] / "seed0") == inline
+
+
+def interrupt_in(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, number: int, signum: signal.Signals) -> None:
+    """Signal this process inside the ``number``-th call of a function."""
+    real, calls = getattr(owner, name), itertools.count(1)
+
+    def call(*arguments, **keywords):
+        if next(calls) == number:
+            signal.raise_signal(signum)
+        return real(*arguments, **keywords)
+
+    monkeypatch.setattr(owner, name, call)
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "number", "saved_episode"),
+    [
+        (UArmSuctionEnv, "step", 23, 0),  # 20 steps and 20 updates are the estimate of the time
+        (DDPG, "update", 30, 1),
+        (DDPG, "update", 94, 3),
+        (evaluate, "run_episode", 2, 1),  # in the first validation, after episode 2
+        (evaluate, "run_episode", 53, 3),  # in the last one
+    ],
+)
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_is_at_once_and_loses_only_the_episode_in_hand(
+    tmp_path, monkeypatch, owner, name, number, saved_episode, signum
+):
+    wrapping = "buffer.capacity=60"  # the next episode has already overwritten the oldest rows when the stop comes
+    whole = outcome(train(tmp_path / "whole", wrapping))
+    with monkeypatch.context() as patch, pytest.raises(SystemExit) as stopped:
+        interrupt_in(patch, owner, name, number, signum)
+        train(tmp_path / "parts", wrapping, "checkpoint_every=4")
+    assert stopped.value.code == 130
+    (run,) = (tmp_path / "parts").glob("*/seed0")
+    assert [path.name for path in run.glob("checkpoint-*")] == [f"checkpoint-{saved_episode:06d}"]
+    assert outcome(train(tmp_path / "parts", wrapping, "checkpoint_every=4", "resume=true")) == whole
 
 
 @pytest.mark.parametrize("method", ["buffer=uniform", "buffer=adaptive"])
@@ -127,6 +168,22 @@ def test_an_episode_ends_although_nothing_is_admitted(tmp_path):
     rows = outcome(run)["progress"]
     assert int(rows[-1]["decisions"]) <= 80
     assert float(rows[-1]["admission_rate"]) < 0.6
+
+
+def test_a_sick_training_is_warned_of_in_the_log_and_at_the_bar(tmp_path, capsys):
+    rows = outcome(train(tmp_path, "agent.final_layer_init=5", "agent.gamma=0"))["progress"]
+    pattern = r"critic in \[.*\], possible is \[-.*, 7.*\]; actor saturated in \d+% of its outputs"
+    assert re.fullmatch(pattern, rows[1]["warning"])
+    err = capsys.readouterr().err
+    assert f"warning: episode 2: {rows[1]['warning']}" in err
+    assert err.count("warning: ") == 1  # once, not in every episode; the bar keeps its mark
+    assert "WARNING" in err
+
+
+def test_a_healthy_training_is_not_warned_of(tmp_path):
+    rows = outcome(train(tmp_path))["progress"]
+    assert {row["warning"] for row in rows} == {""}
+    assert all(float(row["q_min"]) <= float(row["q_max"]) and 0 <= float(row["saturation"]) <= 1 for row in rows[1:])
 
 
 def test_a_dead_simulator_is_named(tmp_path):

@@ -16,8 +16,10 @@ import hashlib
 import itertools
 import multiprocessing
 import os
+import resource
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -34,7 +36,7 @@ from uarm_rl import checkpoint, cli, files, session
 from uarm_rl.logbook import write_rows
 from uarm_rl.policy import ActorPolicy, PolicyFileError
 
-#: Two seconds of training: a checkpoint after every episode, a ring that wraps around.
+#: Two seconds of training: a checkpoint after every second episode, a ring that wraps around.
 TOY = (
     "episodes=6",
     "experiences_per_episode=20",
@@ -44,7 +46,7 @@ TOY = (
     "agent.hidden=[16,16]",
     "buffer.capacity=70",
     "validate_every=3",
-    "checkpoint_every=1",
+    "checkpoint_every=2",
     "time_limit_s=0.2",
     "simulate_beside=false",
     "resume=true",
@@ -104,10 +106,10 @@ def finish(settings: dict) -> bool:
     return os.waitpid(fork(lambda: cli.train(settings)), 0)[1] == 0
 
 
-def kill_after(settings: dict, delay_s: float) -> None:
+def kill_after(settings: dict, delay_s: float, signum: signal.Signals = signal.SIGKILL) -> None:
     child = fork(lambda: cli.train(settings))
     time.sleep(delay_s)
-    os.kill(child, signal.SIGKILL)
+    os.kill(child, signum)
     os.waitpid(child, 0)
 
 
@@ -146,18 +148,42 @@ def kill_inside_save(settings: dict, at: int) -> None:
     os.waitpid(fork(work), 0)
 
 
-def kills(trials: int, generator: np.random.Generator, folder: Path, *, inside_save: bool) -> tuple[int, int]:
-    """Kill each of ``trials`` runs one to three times and let it finish; (kills, runs that end differently)."""
+Kill = Callable[[dict, np.random.Generator, float], None]
+
+
+def at_any_instant(settings: dict, generator: np.random.Generator, duration_s: float) -> None:
+    kill_after(settings, generator.uniform(0.0, duration_s))
+
+
+def inside_a_save(settings: dict, generator: np.random.Generator, duration_s: float) -> None:
+    kill_inside_save(settings, int(generator.integers(1, 43)))
+
+
+def by_a_signal(settings: dict, generator: np.random.Generator, duration_s: float) -> None:
+    """Ctrl-C or SIGTERM, which the training answers itself."""
+    signum = (signal.SIGINT, signal.SIGTERM)[generator.integers(2)]
+    kill_after(settings, generator.uniform(0.0, duration_s), signum)
+
+
+def uninterrupted(folder: Path) -> tuple[dict[str, str], float]:
+    """Outcome of each method's run that nobody kills, and how long the longest took (s)."""
     expected, duration_s = {}, 0.0
     for method in METHODS:
-        settings, run = settings_of(method, folder / "whole" / method)
+        settings, run = settings_of(method, folder / method)
         begin = time.perf_counter()
         assert finish(settings), f"the uninterrupted run of {method} failed"
         duration_s = max(duration_s, time.perf_counter() - begin)
         expected[method] = outcome(run)
+    return expected, duration_s
+
+
+def kills(
+    trials: int, generator: np.random.Generator, folder: Path, kill: Kill, expected: dict[str, str], duration_s: float
+) -> tuple[int, int]:
+    """Kill each of ``trials`` runs one to three times and let it finish; (kills, runs that end differently)."""
     seeds = generator.integers(2**63, size=trials).tolist()
     tasks = [
-        (folder / f"trial{n}", method, seed, duration_s, inside_save)
+        (folder / f"trial{n}", method, seed, duration_s, kill)
         for n, (method, seed) in enumerate(zip(itertools.cycle(METHODS), seeds, strict=False))
     ]
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), multiprocessing.get_context("fork")) as pool:
@@ -165,17 +191,14 @@ def kills(trials: int, generator: np.random.Generator, folder: Path, *, inside_s
     return sum(kills for kills, _, _ in results), sum(outcome != expected[method] for _, method, outcome in results)
 
 
-def kill_and_finish(task: tuple[Path, str, int, float, bool]) -> tuple[int, str, str]:
+def kill_and_finish(task: tuple[Path, str, int, float, Kill]) -> tuple[int, str, str]:
     """One trial: kill a run one to three times, then let it finish; (kills, method, outcome)."""
-    folder, method, seed, duration_s, inside_save = task
+    folder, method, seed, duration_s, kill = task
     generator = np.random.default_rng(seed)
     settings, run = settings_of(method, folder)
     kills = int(generator.integers(1, 4))
     for _ in range(kills):
-        if inside_save:
-            kill_inside_save(settings, int(generator.integers(1, 70)))
-        else:
-            kill_after(settings, generator.uniform(0.0, duration_s))
+        kill(settings, generator, duration_s)
     ended = outcome(run) if finish(settings) else "did not finish"
     shutil.rmtree(folder)
     return kills, method, ended
@@ -209,6 +232,17 @@ def saving_in_place() -> mock._patch:
             files.write_and_flush(folder / name, data)
 
     return mock.patch.object(checkpoint, "write", broken)
+
+
+def saving_the_present() -> mock._patch:
+    """A stop that saves the weights as they are in the middle of an episode, not as they were at its beginning."""
+
+    class Broken(session._Snapshot):
+        def __init__(self, env, agent, *rest, **keywords):
+            super().__init__(env, agent, *rest, **keywords)
+            self._agent = {f"agent/{name}": tensor.numpy() for name, tensor in agent.tensors().items()}
+
+    return mock.patch.object(session, "_Snapshot", Broken)
 
 
 def trusting() -> mock._patch:
@@ -297,22 +331,74 @@ def failing_saves(folder: Path) -> tuple[int, int]:
     return trials, wrong
 
 
+def full_disks(folder: Path) -> tuple[int, int]:
+    """Let the kernel cut every file of a save at every length; (trials, saves that lied or lost the last good one)."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    wrong = trials = 0
+    for trials in itertools.count(1):
+        run = folder / str(trials)
+        run.mkdir()
+        small_checkpoint(run)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (trials - 1, hard))
+        try:
+            checkpoint.write(run, 2, {"agent/parameters": np.zeros(3, np.float32)}, {})
+            claimed = True
+        except OSError:
+            claimed = False
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        latest = checkpoint.read_latest(run)
+        wrong += latest is None or (claimed and latest[0] != 2)
+        if claimed:
+            return trials, wrong
+    raise AssertionError("unreachable")
+
+
+def surroundings(folder: Path, most: int, expected: str) -> tuple[int, int]:
+    """The same run in processes with another hash seed, working folder, locale, time zone; (runs, that differ)."""
+    different = 0
+    changes = (
+        *({"PYTHONHASHSEED": seed} for seed in ("0", "1", "4294967295")),
+        *({"LC_ALL": locale, "LANG": locale} for locale in ("C", "C.UTF-8", "POSIX", "de_DE.UTF-8", "tr_TR.UTF-8")),
+        {"TZ": "Pacific/Kiritimati"},
+        {"PYTHONOPTIMIZE": "1"},
+        {"COLUMNS": "20", "TERM": "dumb"},
+    )[:most]
+    for number, change in enumerate(changes):
+        elsewhere = folder / f"folder {number}"
+        elsewhere.mkdir(parents=True)
+        words = ["train", "experiment=C", *TOY]
+        subprocess.run(
+            [sys.executable, "-m", "uarm_rl.cli", *words],
+            cwd=elsewhere,
+            env={**os.environ, **change},
+            capture_output=True,
+            check=True,
+        )
+        different += outcome(elsewhere / "results" / "adaptive-penalty" / "seed0") != expected
+    return len(changes), different
+
+
 def table(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
     generator = np.random.default_rng(seed)
-    inside = trials // 3
-    for title, count, is_inside, control in (
-        ("runs killed at a random instant, resumed", trials - inside, False, forgetting_the_noise),
-        ("runs killed inside a save, resumed", inside, True, saving_in_place),
+    expected, duration_s = uninterrupted(folder / "uninterrupted")
+    for title, count, kill, control in (
+        ("runs killed at a random instant, resumed", trials - trials // 3, at_any_instant, forgetting_the_noise),
+        ("runs killed inside a save, resumed", trials // 3, inside_a_save, saving_in_place),
+        ("runs stopped by Ctrl-C or SIGTERM, resumed", trials // 3, by_a_signal, saving_the_present),
     ):
-        killed, different = kills(count, generator, folder / control.__name__, inside_save=is_inside)
+        killed, different = kills(count, generator, folder / control.__name__, kill, expected, duration_s)
         with control():
-            _, caught = kills(controls, generator, folder / f"{control.__name__}-control", inside_save=is_inside)
+            _, caught = kills(controls, generator, folder / f"{control.__name__}-control", kill, expected, duration_s)
         words = f"{control.__name__.replace('_', ' ')}: {caught} of {controls} differ" if controls else "not run"
         if controls and not caught:
             words = f"NOT CAUGHT: {words}"
         yield Row(f"{title} ({killed} kills)", count, different, bound(count, different), words)
+    yield Row("runs in other surroundings", *surroundings(folder / "surroundings", trials // 3, expected["C"]), "", "")
     (folder / "saves").mkdir()
     yield Row("saves with one call that fails", *failing_saves(folder / "saves"), "exhaustive", "")
+    (folder / "full").mkdir()
+    yield Row("saves on a disk that is full after n bytes", *full_disks(folder / "full"), "exhaustive", "")
     for name, harness in (("checkpoint", damaged_checkpoint), ("policy", damaged_policy)):
         (folder / name).mkdir()
         done, taken = harness(folder / name)

@@ -163,7 +163,7 @@ def train(settings: Settings) -> None:
 
     from uarm_rl import checks, positions, session
     from uarm_rl.env import ACTION_SIZE
-    from uarm_rl.evaluate import success_rate
+    from uarm_rl.evaluate import successes
     from uarm_rl.observation import SIZE
     from uarm_rl.pipeline import InlineEnv, SubprocessEnv
     from uarm_rl.replay import ReplayBuffer
@@ -214,7 +214,7 @@ def train(settings: Settings) -> None:
                 noise,
                 schedule,
                 value_range=_value_range(settings),
-                validate=lambda policy: success_rate(validation_env, policy, validation_positions),
+                validate=lambda policy: successes(validation_env, policy, validation_positions),
                 tensorboard=settings["tensorboard"],
                 say=print,
             )

@@ -83,9 +83,9 @@ def _episode(env: UArmSuctionEnv, policy: Policy, position_m: Vector) -> Episode
     return run_episode(env, policy, options={"object_position": position_m})
 
 
-def success_rate(env: UArmSuctionEnv, policy: Policy, positions_m: Sequence[Vector] | Vector) -> float:
-    """Share of ``positions_m`` that the policy reaches."""
-    return float(np.mean([_episode(env, policy, position).success for position in positions_m]))
+def successes(env: UArmSuctionEnv, policy: Policy, positions_m: Sequence[Vector] | Vector) -> Iterator[bool]:
+    """Whether the policy reaches each of ``positions_m``, one after the other."""
+    return (_episode(env, policy, position).success for position in positions_m)
 
 
 def measure(position: int, episode: Episode, common_reward: DistanceReward, *, control_hz: int) -> Row:

@@ -100,8 +100,9 @@ class SubprocessEnv:
 
 
 def _serve(pipe: Connection, make_env: MakeEnv, seed: int) -> None:
-    """Answer calls until the other side closes the pipe. Ctrl-C is the parent's business."""
+    """Answer calls until the other side closes the pipe. Ctrl-C and SIGTERM are the parent's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     env: InlineEnv | None = None
     try:
         while True:

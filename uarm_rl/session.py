@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -135,19 +137,25 @@ def run(
     schedule: Schedule,
     *,
     value_range: tuple[float, float],
-    validate: Callable[[Policy], float],
+    validate: Callable[[Policy], Iterator[bool]],
     tensorboard: bool,
     say: Callable[[str], None],
 ) -> bool:
     """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop.
 
-    ``value_range`` are the lowest and highest return that the task allows: a critic outside it raises a warning.
+    ``validate`` tells of one position after the other whether the policy reaches it. ``value_range`` are the lowest and
+    highest return that the task allows: a critic outside it raises a warning.
     """
     counters = Counters()
     saved = checkpoint.read_latest(run_dir)
     if saved:
         _restore(saved, env, agent, replay, noise, counters)
         say(f"resuming after episode {counters.episode} of {schedule.episodes}")
+    take_snapshot = partial(
+        _Snapshot, env, agent, replay, noise, counters, experiences_per_episode=schedule.experiences_per_episode
+    )
+    snapshot = take_snapshot()
+    on_disk = counters.episode if saved else -1
     with ExitStack() as stack:
         log = Logbook(run_dir / PROGRESS, COLUMNS, keep_rows=counters.episode)
         stack.callback(log.close)
@@ -155,18 +163,23 @@ def run(
         bar = stack.enter_context(_progress_bar(schedule, counters))
         stop = stack.enter_context(stop_on_signals(bar.write))
 
-        def end_of_episode(row: dict[str, object]) -> bool:
+        def end_of_episode(row: dict[str, object]) -> None:
+            nonlocal snapshot, on_disk
             last = counters.episode == schedule.episodes
             if last or counters.episode % schedule.validate_every == 0:
-                row["validation_success_rate"] = validate(policy)
+                reached = list(takewhile(lambda _: not stop.requested, validate(policy)))
+                if stop.requested:
+                    return
+                row["validation_success_rate"] = float(np.mean(reached))
             row["warning"] = warning(row, value_range)
             log.add(row)
             if write_scalars:
                 write_scalars(row)
             bar.show(row)
-            if last or stop.requested or counters.episode % schedule.checkpoint_every == 0:
-                _save(run_dir, env, agent, replay, noise, counters)
-            return stop.requested
+            snapshot = take_snapshot()
+            if last or counters.episode % schedule.checkpoint_every == 0:
+                snapshot.write(run_dir)
+                on_disk = snapshot.episode
 
         train(
             env,
@@ -182,8 +195,11 @@ def run(
             warmup_experiences=schedule.warmup_experiences,
             batch_size=schedule.batch_size,
             end_of_episode=end_of_episode,
+            stop=stop,
         )
-    if counters.episode < schedule.episodes:
+        if snapshot.episode > on_disk:
+            snapshot.write(run_dir)
+    if snapshot.episode < schedule.episodes:
         return False
     policy.save(run_dir / POLICY)
     return True
@@ -202,23 +218,41 @@ def warning(row: Mapping[str, object], value_range: tuple[float, float]) -> str:
     return "; ".join(problems)
 
 
-def _save(
-    run_dir: Path,
-    env: InlineEnv | SubprocessEnv,
-    agent: DDPG,
-    replay: ReplayBuffer,
-    noise: Noise,
-    counters: Counters,
-) -> None:
-    arrays = {f"agent/{name}": tensor.numpy() for name, tensor in agent.tensors().items()}
-    arrays["replay/rows"] = replay.rows[: len(replay)]
-    state = {
-        "counters": asdict(counters),
-        "replay": {"added": replay.added, "generator": replay.generator.bit_generator.state},
-        "noise": {"state": noise.state.tolist(), "generator": noise.generator.bit_generator.state},
-        "env": {"generator": env.generator_state()},
-    }
-    checkpoint.write(run_dir, counters.episode, arrays, state)
+class _Snapshot:
+    """The whole training as it stood between two episodes.
+
+    A stop in the middle of an episode saves the snapshot taken before it: the world is built anew there, so a resumed run
+    goes on with the same bytes. Small things are copied; of the replay buffer only the rows that the next episode may
+    overwrite.
+    """
+
+    def __init__(
+        self,
+        env: InlineEnv | SubprocessEnv,
+        agent: DDPG,
+        replay: ReplayBuffer,
+        noise: Noise,
+        counters: Counters,
+        *,
+        experiences_per_episode: int,
+    ) -> None:
+        self.episode = counters.episode
+        self._agent = {f"agent/{name}": tensor.numpy().copy() for name, tensor in agent.tensors().items()}
+        self._replay = replay
+        self._length = len(replay)
+        self._next_rows = np.arange(replay.added, replay.added + experiences_per_episode) % replay.capacity
+        self._overwritten = replay.rows[self._next_rows]
+        self._state = {
+            "counters": asdict(counters),
+            "replay": {"added": replay.added, "generator": replay.generator.bit_generator.state},
+            "noise": {"state": noise.state.tolist(), "generator": noise.generator.bit_generator.state},
+            "env": {"generator": env.generator_state()},
+        }
+
+    def write(self, run_dir: Path) -> None:
+        """Save it as a checkpoint. The training cannot go on behind it if it has begun the next episode."""
+        self._replay.rows[self._next_rows] = self._overwritten
+        checkpoint.write(run_dir, self.episode, self._agent | {"replay/rows": self._replay.rows[: self._length]}, self._state)
 
 
 def _restore(

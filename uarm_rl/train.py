@@ -69,14 +69,14 @@ class Stop:
 
 @contextmanager
 def stop_on_signals(announce: Callable[[str], None]) -> Iterator[Stop]:
-    """Ctrl-C or SIGTERM asks for a stop at the end of the episode; a second Ctrl-C interrupts at once."""
+    """Ctrl-C or SIGTERM asks for a stop after the decision in hand; a second Ctrl-C interrupts at once."""
     stop = Stop()
 
     def handle(number: int, frame: FrameType | None) -> None:
         if stop.requested:
             raise KeyboardInterrupt
         stop.requested = True
-        announce("stopping after this episode; press Ctrl-C again to leave at once")
+        announce("stopping and saving; press Ctrl-C again to leave at once")
 
     previous = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -100,16 +100,17 @@ def train(
     max_decisions_per_episode: int,
     warmup_experiences: int,
     batch_size: int,
-    end_of_episode: Callable[[dict[str, object]], bool],
+    end_of_episode: Callable[[dict[str, object]], None],
+    stop: Stop,
 ) -> None:
-    """Train until ``counters.episode`` reaches ``episodes`` or ``end_of_episode`` returns true.
+    """Train until ``counters.episode`` reaches ``episodes``, or a stop is requested: then in the middle of an episode.
 
     One gradient step per stored experience, taken while the arm carries out the next decision. An episode
     ends after ``experiences_per_episode`` stored experiences; a success or a lost object only places a new object.
     ``end_of_episode`` receives the episode's row of the log.
     """
     total = episodes * experiences_per_episode
-    while counters.episode < episodes:
+    while counters.episode < episodes and not stop.requested:
         began = time.perf_counter()
         observation = env.reset(home=True)
         noise.reset()
@@ -126,6 +127,8 @@ def train(
                 metrics = agent.update(replay.sample(batch_size))
                 counters.updates += 1
             next_observation, reward, terminated, truncated, info = env.receive()
+            if stop.requested:
+                return
 
             if not (math.isfinite(reward) and np.isfinite(next_observation).all()):
                 raise DivergenceError(f"the environment returned reward {reward!r} and observation {next_observation!r}")
@@ -156,5 +159,4 @@ def train(
             "explosions": explosions,
             "object_moved_m": object_moved_m,
         }
-        if end_of_episode(row | metrics):
-            return
+        end_of_episode(row | metrics)
