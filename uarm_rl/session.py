@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import math
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -296,7 +297,7 @@ class _Bar:
         self._counters = counters
 
     def write(self, text: str) -> None:
-        self._bar.write(text)
+        self._bar.write(text, file=sys.stderr)
 
     def show(self, row: dict[str, object]) -> None:
         if "validation_success_rate" in row:
