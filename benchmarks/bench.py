@@ -1,6 +1,6 @@
 """Speed, as ratios measured side by side in one run: alternating rounds, medians, one thread each.
 
-    python benchmarks/bench.py [--quick]      (or: make bench)
+    python benchmarks/bench.py [--quick] [--profile]     (or: make bench)
 
 Prints a table and writes ``benchmarks/bench.csv``. What a user would pick instead is Stable-Baselines3's DDPG with the same
 networks, batch and optimiser; the floor of an update is its matrix products alone, and that of a simulation its bare
@@ -19,6 +19,7 @@ import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -39,7 +40,8 @@ from uarm_rl.evaluate import evaluate
 from uarm_rl.pipeline import InlineEnv, SubprocessEnv
 from uarm_rl.policy import InverseKinematicsPolicy
 from uarm_rl.replay import ReplayBuffer
-from uarm_rl.train import Counters, train
+from uarm_rl.session import Snapshot
+from uarm_rl.train import Counters, Stop, train
 
 HERE = Path(__file__).parent
 BATCH = 128
@@ -208,7 +210,11 @@ class OurTraining:
         self(2)
 
     def __call__(self, episodes: int) -> None:
-        goal = self.counters.episode + episodes
+        goal, stop = self.counters.episode + episodes, Stop()
+
+        def end_of_episode(row: dict[str, object]) -> None:
+            stop.requested = self.counters.episode >= goal
+
         train(
             self._env,
             self._agent,
@@ -222,8 +228,15 @@ class OurTraining:
             max_decisions_per_episode=10 * EPISODE,
             warmup_experiences=EPISODE,
             batch_size=BATCH,
-            end_of_episode=lambda row: self.counters.episode >= goal,
+            end_of_episode=end_of_episode,
+            stop=stop,
         )
+
+    def snapshot(self) -> Snapshot:
+        """What a checkpoint saves, with a replay buffer that is full."""
+        self._replay.added = self._replay.capacity
+        self.counters.updates = self._replay.added - EPISODE
+        return Snapshot(self._env, self._agent, self._replay, self._noise, self.counters, experiences_per_episode=EPISODE)
 
     def close(self) -> None:
         self._env.close()
@@ -344,6 +357,47 @@ def bench_growth(episodes: int) -> Iterator[Row]:
     yield Row("resident memory at the end", "MB", memory[-1], memory[0], "start", memory[-1] / memory[0], "flat, < 600 MB")
 
 
+def bench_checkpoints(rounds: int) -> Iterator[Row]:
+    """What the snapshots and the checkpoint of 25 episodes cost at the end of a run, where the replay buffer is full."""
+    settings = cli.compose("train", ("buffer=uniform",))  # the shorter episodes: the larger share
+    every = settings["checkpoint_every"]
+    with closing(OurTraining(settings, InlineEnv)) as training, tempfile.TemporaryDirectory(dir=HERE, prefix=".tmp-") as folder:
+        snapshot = training.snapshot()
+        rates = alternate(
+            rounds,
+            save=(partial(snapshot.write, Path(folder)), 1),
+            snapshot=(training.snapshot, 1),
+            episode=(partial(training, 1), 1),
+        )
+    spent_s, trained_s = 1 / rates["save"] + every / rates["snapshot"], every / rates["episode"]
+    yield Row(f"saving {every} episodes, buffer full", "s", spent_s, trained_s, "training them", spent_s / trained_s, "< 0.02")
+
+
+def profile(updates: int) -> None:
+    """Print where the time of an update goes, by operation, and write it to ``benchmarks/profile.csv``."""
+    agent, replay = our_agent(), our_replay()
+    for _ in range(50):
+        agent.update(replay.sample(BATCH))
+    begin = time.perf_counter()
+    for _ in range(updates):
+        agent.update(replay.sample(BATCH))
+    whole_us = (time.perf_counter() - begin) / updates * 1e6
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
+        for _ in range(updates):
+            agent.update(replay.sample(BATCH))
+    events = sorted(profiler.key_averages(), key=lambda event: -event.self_cpu_time_total)
+    rows = [(event.key, event.count / updates, event.self_cpu_time_total / updates) for event in events]
+    rows = [row for row in rows if row[2] >= 0.005 * whole_us]
+    rows.append(("everything else, Python included", 0, whole_us - sum(us for _, _, us in rows)))
+    with open(HERE / "profile.csv", "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("operation", "calls_per_update", "us_per_update", "share"))
+        for name, calls, us in rows:
+            print(f"{name:40} {calls:6.0f} calls {us:8.0f} us {us / whole_us:6.1%}")
+            writer.writerow((name, f"{calls:.0f}", f"{us:.0f}", f"{us / whole_us:.3f}"))
+    print(f"{'one update, not profiled':40} {'':12} {whole_us:8.0f} us")
+
+
 def resident_mb() -> float:
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 2**20
@@ -358,6 +412,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="only the rows of this function, bench_training say; writes no CSV")
     parser.add_argument("--quick", action="store_true", help="two rounds each, to see that it runs")
+    parser.add_argument("--profile", action="store_true", help="only where the time of an update goes, by operation")
     parser.add_argument("--train-only", nargs=2, type=int, metavar=("EPISODES", "SEED"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -365,6 +420,9 @@ def main() -> None:
         episodes, seed = arguments.train_only
         with closing(OurTraining(cli.compose("train"), InlineEnv, seed)) as more:
             print(episodes / rate(partial(more, episodes), episodes))
+        return
+    if arguments.profile:
+        profile(20 if arguments.quick else 500)
         return
     rounds, length, growth = (2, 1, 9) if arguments.quick else (9, 10, 90)
     benches = {
@@ -374,6 +432,7 @@ def main() -> None:
         "bench_side_by_side": partial(bench_side_by_side, max(1, rounds // 3), length),
         "bench_evaluation": partial(bench_evaluation, rounds),
         "bench_start": partial(bench_start, rounds),
+        "bench_checkpoints": partial(bench_checkpoints, rounds),
         "bench_growth": partial(bench_growth, growth),
     }
     if arguments.only:

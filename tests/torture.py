@@ -237,12 +237,12 @@ def saving_in_place() -> mock._patch:
 def saving_the_present() -> mock._patch:
     """A stop that saves the weights as they are in the middle of an episode, not as they were at its beginning."""
 
-    class Broken(session._Snapshot):
+    class Broken(session.Snapshot):
         def __init__(self, env, agent, *rest, **keywords):
             super().__init__(env, agent, *rest, **keywords)
             self._agent = {f"agent/{name}": tensor.numpy() for name, tensor in agent.tensors().items()}
 
-    return mock.patch.object(session, "_Snapshot", Broken)
+    return mock.patch.object(session, "Snapshot", Broken)
 
 
 def trusting() -> mock._patch:

@@ -153,7 +153,7 @@ def run(
         _restore(saved, env, agent, replay, noise, counters)
         say(f"resuming after episode {counters.episode} of {schedule.episodes}")
     take_snapshot = partial(
-        _Snapshot, env, agent, replay, noise, counters, experiences_per_episode=schedule.experiences_per_episode
+        Snapshot, env, agent, replay, noise, counters, experiences_per_episode=schedule.experiences_per_episode
     )
     snapshot = take_snapshot()
     on_disk = counters.episode if saved else -1
@@ -219,7 +219,7 @@ def warning(row: Mapping[str, object], value_range: tuple[float, float]) -> str:
     return "; ".join(problems)
 
 
-class _Snapshot:
+class Snapshot:
     """The whole training as it stood between two episodes.
 
     A stop in the middle of an episode saves the snapshot taken before it: the world is built anew there, so a resumed run
