@@ -8,14 +8,17 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.conftest import FAST
 from uarm_rl import checkpoint, cli, evaluate
-from uarm_rl.ddpg import DDPG
+from uarm_rl.ddpg import DDPG, DivergenceError
 from uarm_rl.env import UArmSuctionEnv
+from uarm_rl.pipeline import InlineEnv, SubprocessEnv
 from uarm_rl.session import RunFolderError
 
 
@@ -181,6 +184,32 @@ def test_a_sick_training_is_warned_of_in_the_log_and_at_the_bar(tmp_path, capsys
     assert "WARNING" in err
 
 
+@pytest.mark.parametrize("victim", ["a weight", "a reward"])
+def test_a_number_that_is_not_finite_leaves_a_good_checkpoint(tmp_path, monkeypatch, victim):
+    whole = outcome(train(tmp_path / "whole"))
+    with monkeypatch.context() as patch, pytest.raises(DivergenceError, match=r"finite|nan"):
+        if victim == "a weight":
+            spoil(patch, DDPG, "update", 80, lambda agent, _: agent.parameters[1000:1001].fill_(float("nan")))
+        else:
+            spoil(patch, InlineEnv, "receive", 60, lambda _, result: (result[0], float("nan"), *result[2:]))
+        train(tmp_path / "parts")
+    (run,) = (tmp_path / "parts").glob("*/seed0")
+    assert not (run / "policy.safetensors").exists()
+    assert all(np.isfinite(array).all() for array in checkpoint.read_latest(run)[1].values())
+    assert outcome(train(tmp_path / "parts", "resume=true")) == whole
+
+
+def spoil(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, number: int, change: Callable) -> None:
+    """Let ``change`` see, and replace, what the ``number``-th call of a method returns."""
+    real, calls = getattr(owner, name), itertools.count(1)
+
+    def call(self, *arguments):
+        result = real(self, *arguments)
+        return change(self, result) if next(calls) == number else result
+
+    monkeypatch.setattr(owner, name, call)
+
+
 def test_a_healthy_training_is_not_warned_of(tmp_path):
     rows = outcome(train(tmp_path))["progress"]
     assert {row["warning"] for row in rows} == {""}
@@ -188,10 +217,7 @@ def test_a_healthy_training_is_not_warned_of(tmp_path):
 
 
 def test_a_dead_simulator_is_named(tmp_path):
-    import numpy as np
-
     from uarm_rl.arm import ArmError
-    from uarm_rl.pipeline import SubprocessEnv
 
     env = SubprocessEnv(_explode, 0)
     with pytest.raises(ArmError, match="the motors are on strike"):
