@@ -67,12 +67,23 @@ def test_boot_text():
         ("#1 P2204\n", "$1 ok V4.0.5\n"),
         ("#1 P2205\n", "$1 ok V508CB17684DE\n"),
         ("#1 P2206 N0\n", "$1 ok V90.0000\n"),
+        ("#1 P2206 N1\n", "$1 ok V32.7589\n"),
+        ("#1 P2206 N2\n", "$1 ok V88.9805\n"),
         ("#1 P2206 N3\n", "$1 ok V89.1000\n"),
         ("#1 P2206 N4\n", "$1 E21\n"),
+        ("#1 P2220\n", "$1 ok X192.1500 Y0.0000 Z-49.0600\n"),
+        ("#1 P2221\n", "$1 ok S192.1500 R90.0000 H-49.0600\n"),
         ("#1 P2231\n", "$1 ok V0\n"),
+        ("#1 P2232\n", "$1 ok V0\n"),
         ("#1 P2233\n", "$1 ok V0\n"),
         ("#1 P2234\n", "$1 ok V1\n"),
+        ("#1 P2235\n", "$1 ok V0\n"),
+        ("#1 P2236 N0\n", "$1 ok V1\n"),
+        ("#1 P2240 N1\n", "$1 ok V0\n"),
+        ("#1 P2241 N1\n", "$1 ok V0\n"),
         ("#1 P2242\n", "$1 ok B2000 L2000 R2000\n"),
+        ("#1 P2243\n", "$1 ok B2000 L2000 R2000\n"),
+        ("#1 P2244\n", "$1 ok V0\n"),
         ("#1 P2400\n", "$1 ok V0\n"),
         ("#34P2203\n", "$34 ok V4.10.0\n"),
         ("#31 p2203\r", "$31 ok V4.10.0\n"),
@@ -98,6 +109,9 @@ def test_boot_text():
         ("#1 M204 P200 T200 R200\n", "sscanf 1\r\n$1 E21\n"),
         ("#1 M2222 X200 Y0 Z150 P0\n", "$1 ok V1\n"),
         ("#1 M2222 X500 Y0 Z150 P0\n", "$1 ok V0\n"),
+        ("#1 M2222 X200 Y90 Z150 P1\n", "$1 ok V1\n"),
+        ("#1 M2222 X200 Y90 Z-200 P1\n", "$1 ok V0\n"),
+        ("#1 M2220 X500 Y0 Z150\n", "$1 ok B  NAN L  NAN R  NAN\n"),
         ("#1 M2220 X200 Y0 Z150\n", "$1 ok B90.0000 L100.9902 R8.0774\n"),
         ("#1 M2221 B90 L50 R50\n", "$1 ok X263.2519 Y0.0000 Z20.0264\n"),
         ("#1 G0 X500 Y0 Z150 F50\n", "$1 E22\n"),
@@ -107,10 +121,44 @@ def test_boot_text():
         ("#1 G2206 B90 L-3 R60 F50\n", "$1 ok\n"),
         ("#1 G2206 B90 L80 R40 F0\n", "$1 ok\n"),
         ("#1 G2202 N3 V90 F50\n", "$1 ok\n"),
+        ("#1 G2202 N3 V400 F50\n", "$1 ok\n"),  # ignored in silence
+        ("#1 G2202 N0 V45 F50\n", "$1 ok\n"),
+        ("#1 G2202 N0 V190 F50\n", "$1 E22\n"),
+        ("#1 G1 X200 Y0 Z150 F50\n", "$1 ok\n"),
+        ("#1 G0 Z150 F50 X200 Y0\n", "$1 ok\n"),  # in any order
+        ("#1 G0 X-100 Y0 Z150 F50\n", "$1 E22\n"),  # behind the arm
+        ("#1 G2201 S200 R90 H150 F50\n", "$1 ok\n"),
+        ("#1 G2201 S200 R190 H150 F50\n", "$1 E22\n"),
+        ("#1 G2204 X10 Y0 Z50 F50\n", "$1 ok\n"),
+        ("#1 G2204 X500 Y0 Z50 F50\n", "$1 E22\n"),
+        ("#1 G2204 X10 Y0 F50\n", "sscanf 1\r\n$1 E21\n"),
+        ("#1 G2205 S10 R-10 H50 F50\n", "$1 ok\n"),
+        ("#1 G2004 P1000\n", "$1 ok\n"),
         ("#1 G90\n", "$1 ok\n"),
+        ("#1 G91\n", "$1 ok\n"),
+        ("#1 G92\n", "$1 ok\n"),
         ("#1 M17\n", "$1 ok\n"),
+        ("#1 M18\n", "$1 ok\n"),
+        ("#1 M2019\n", "$1 ok\n"),
+        ("#1 M2201 N0\n", "$1 ok\n"),
+        ("#1 M2201 N4\n", "$1 E21\n"),
+        ("#1 M2202 N3\n", "$1 ok\n"),
+        ("#1 M204 A10\n", "$1 ok\n"),
+        ("#1 M2120 V0\n", "$1 ok\n"),
+        ("#1 M2121\n", "$1 ok\n"),
+        ("#1 M2122 V1\n", "$1 ok\n"),
+        ("#1 M2123 V1\n", "$1 ok\n"),
+        ("#1 M2124 V1\n", "$1 ok\n"),
+        ("#1 M2213 V0\n", "$1 ok\n"),
+        ("#1 M2232 V1\n", "$1 ok\n"),
+        ("#1 M2233 V0\n", "$1 ok\n"),
+        ("#1 M2234 V1\n", "$1 ok\n"),
+        ("#1 M2240 N1 V1\n", "$1 ok\n"),
+        ("#1 M2241 N1 V1\n", "$1 ok\n"),
+        ("#1 S1000 V0\n", "$1 ok\n"),
         ("#1 M2203 N0\n", "$1 ok V1\n"),
         ("#1 M2231 V1\n", "$1 ok\n"),
+        ("#1 M2231 V2\n", "$1 ok\n"),  # the valve alone
         ("#1 M2231 V3\n", "$1 E21\n"),
         ("#1 M2400 S0\n", "$1 ok\n"),
         ("#1 M2210 F1000 T200\n", "$1 ok\n"),
@@ -124,6 +172,76 @@ def test_boot_text():
 )
 def test_request_and_reply(request_text, reply):
     assert Terminal().send(request_text) == reply
+
+
+# Table 1.7: motor angles, cup, whether firmware 4.10 and 4.5 go there.
+@pytest.mark.parametrize(
+    ("motor_deg", "cup_mm", "legal", "legal_before_4_8"),
+    [
+        ((90, 100.9902, 8.0774), (200.0, 0, 150.0), True, True),
+        ((90, 123.6172, 0.4184), (150.0, 0, 150.0), True, True),
+        ((90, 118, 50), (105.2333, 0, 36.6348), True, True),
+        ((90, 32.758930, 88.980537), (192.15, 0, -49.06), True, True),
+        ((90, 90, 0.5), (228.654, 0, 173.5341), True, True),
+        ((90, 29.5, 0.5), (352.3054, 0, 101.4228), True, True),
+        ((135, 80, 30), (164.0867, 164.0867, 93.3566), True, True),
+        ((45, 80, 30), (164.0867, -164.0867, 93.3566), True, True),
+        ((90, 45, 75), (211.4117, 0, -20.09), True, True),
+        ((90, 55.9357, 71.4307), (200.0, 0, 0), True, True),
+        ((109.6538, 40.3782, 41.3348), (280.0, 100.0, 20.0), True, True),
+        ((45, 111.6799, 16.4119), (120.0, -120.0, 120.0), True, True),
+        ((90, -3, 60), (291.1303, 0, -112.1189), True, False),
+        ((90, 100, -3), (203.7722, 0, 181.0731), True, False),
+    ],
+)
+def test_the_firmwares_own_kinematics(motor_deg, cup_mm, legal, legal_before_4_8):
+    arm, older = Terminal(), Terminal(Settings(firmware="V4.5.0"))
+    b, left, right = motor_deg
+    answer = arm.send(f"#1 M2221 B{b} L{left} R{right}\n")
+    assert [float(word[1:]) for word in answer.split()[2:]] == pytest.approx(cup_mm, abs=0.002)
+    answer = arm.send("#2 M2220 X{} Y{} Z{}\n".format(*cup_mm))
+    assert [float(word[1:]) for word in answer.split()[2:]] == pytest.approx(motor_deg, abs=0.002)
+    for terminal, allowed in ((arm, legal), (older, legal_before_4_8)):
+        assert terminal.send(f"#3 G2206 B{b} L{left} R{right} F100\n") == ("$3 ok\n" if allowed else "$3 E22\n")
+
+
+@pytest.mark.parametrize(
+    ("request_text", "reply"),
+    [
+        ("#1 P2203\n", "$1 ok V4.5.0\n"),
+        ("#1 P2204\n", "$1 ok V4.0.4\n"),
+        ("#1 P2235\n", "$1 ok\n"),  # unknown P
+        ("#1 P2244\n", "$1 ok\n"),
+        ("#1 M2124 V1\n", "$1 E20\n"),
+        ("#1 M2231 V2\n", "$1 E21\n"),
+        ("#1 M2231 V1\n#2 P2231\n", "$1 ok\n$2 ok V1\n"),  # without debug text
+        ("#1 G2206 B90 L80 R40 F50\n", "$1 ok\n"),
+    ],
+)
+def test_request_and_reply_of_4_5(request_text, reply):
+    assert Terminal(Settings(firmware="V4.5.0")).send(request_text) == reply
+
+
+def test_the_tool_mode_is_one_digit_and_survives_a_reset():
+    arm = Terminal()
+    assert arm.send("#1 M2400 S10\n") == "$1 ok\n"
+    assert arm.send("#2 P2400\n") == "$2 ok V1\n"
+    arm.firmware.reset()
+    assert "work mode : 1\r\n" in arm.wait(BOOTED_S)
+
+
+def test_a_dwell_answers_at_once_and_holds_back_what_follows():
+    arm = Terminal()
+    assert arm.send("#1 G2004 P1000\n#2 M2231 V0\n#3 P2234\n", 0.5) == "$1 ok\n$3 ok V1\n"
+    assert arm.wait(1.0) == "$2 ok\n"
+
+
+def test_relative_moves_start_at_the_parsers_position():
+    arm = Terminal()
+    arm.send("G0 X200 Y0 Z100 F50\nG91\n")
+    assert arm.send("#1 G0 X10 Y0 Z0 F50\n") == "$1 ok\n"
+    x_mm = float(arm.send("#2 P2220\n").split()[2].removeprefix("X"))
+    assert x_mm == pytest.approx(210.0, abs=0.3)
 
 
 def test_a_move_reads_back_quantised():
@@ -194,7 +312,14 @@ def test_encoder_queries_in_motion_answer_too_early():
 
 @pytest.mark.parametrize(
     ("query", "expected_s"),
-    [("#1 P2200\n", 0.040), ("#1 P2220\n", 0.040), ("#1 P2206 N0\n", 0.0143), ("#1 P2203\n", 0.0015), ("#1 M17\n", 0.040)],
+    [
+        ("#1 P2200\n", 0.040),
+        ("#1 P2220\n", 0.040),
+        ("#1 P2206 N0\n", 0.0143),
+        ("#1 P2203\n", 0.0015),
+        ("#1 M17\n", 0.040),
+        ("#1 M2123 V1\n", 0.040),
+    ],
 )
 def test_latencies(query, expected_s):
     assert Terminal().time_until(query, "$1 ok") == pytest.approx(expected_s, abs=0.002)
@@ -302,6 +427,7 @@ def test_realism_is_configuration():
         (Fault("power", "P2203", delay_s=0.5), "$1 ok V4.10.0\n$2 ok V1\n@5 V0\n"),
         (Fault("lost", "P2203", nth=2), "$1 ok V4.10.0\n$2 ok V1\n"),
         (Fault("lost", "any", nth=2), "$1 ok V4.10.0\n"),
+        (Fault("lost", "any", times=2), ""),
     ],
 )
 def test_faults(fault, expected):
@@ -320,7 +446,15 @@ def test_reset_and_unplug_in_a_move():
     assert arm.firmware.unplugged
 
 
-@pytest.mark.parametrize("wrong", [{"effect": "explosion"}, {"effect": "late", "delay_s": -1.0}, {"effect": "lost", "nth": 0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"effect": "explosion"},
+        {"effect": "late", "delay_s": -1.0},
+        {"effect": "lost", "nth": 0},
+        {"effect": "lost", "times": 0},
+    ],
+)
 def test_wrong_faults_are_refused(wrong):
     with pytest.raises(ValueError, match="fault"):
         Fault(**wrong)

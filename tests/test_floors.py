@@ -26,6 +26,7 @@ FLOORS = {
         "logbook",
         "render",
         "usage",
+        "lab",
         "emulator",
     },
     4: {"cli"},

@@ -85,7 +85,7 @@ def test_firmware_3_2_is_recognised_and_refused():
     assert bench.lines()[0] == "M2231 V0"
 
 
-@pytest.mark.parametrize("keywords", [{"feed": 0.0}, {"feed": 31.0}, {"feed": math.nan}, {"control_hz": 0}])
+@pytest.mark.parametrize("keywords", [{"feed": 0.0}, {"feed": 31.0}, {"feed": math.nan}, {"control_hz": 0}, {"speed": 0}])
 def test_constructor_values_are_checked(keywords):
     with pytest.raises(ValueError, match="must be"):
         Bench(**keywords).connect()
@@ -116,7 +116,7 @@ def test_one_decision_is_one_line_and_lasts_until_the_arm_stands():
     target = position[0] + 0.15, position[1], position[2]
     arm.command_joints(target)
     assert bench.port.clock() == start_s
-    arm.advance()
+    assert arm.advance() == 7
     assert bench.port.clock() - start_s == pytest.approx(0.352 + 0.014, abs=0.03)  # 0.15 rad of one joint at F 20
     assert arm.read_joints() == pytest.approx(target, abs=0.002)
     assert [line.split()[0] for line in bench.lines(start)] == ["G2206", "P2200"]
@@ -149,8 +149,19 @@ def test_advance_at_rest_lets_a_control_period_pass():
     bench = Bench(control_hz=10.0)
     arm = bench.connect()
     start_s = bench.port.clock()
-    arm.advance()
+    assert arm.advance() == 1
     assert bench.port.clock() - start_s == pytest.approx(0.1, abs=0.03)
+
+
+def test_on_a_fast_emulator_the_arms_own_time_counts():
+    bench = Bench(speed=4.0)
+    arm = bench.connect()
+    arm.home()
+    start_s = arm.time_s()
+    arm.command_joints((HOME[0] + 0.15, HOME[1], HOME[2]))
+    assert arm.advance() == pytest.approx(29, abs=2)  # 0.366 s of the program, 1.46 s of the arm
+    arm.rest(0.8)
+    assert arm.time_s() - start_s == pytest.approx(1.46 + 0.8, abs=0.15)
 
 
 def test_encoders_and_pump_are_left_alone_in_motion(monkeypatch):

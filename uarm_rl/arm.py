@@ -35,8 +35,12 @@ class Arm(Protocol):
         """Give the servo a new reference, inside the joint limits."""
         ...
 
-    def advance(self) -> None:
-        """Let one control step pass. Raises :class:`PhysicsError` when a simulated world explodes."""
+    def advance(self) -> int:
+        """Let time pass, a control step if the arm can; returns how many passed, at least 1.
+
+        A simulated arm advances by one. A real one cannot be looked at in motion and returns when it stands still.
+        Raises :class:`PhysicsError` when a simulated world explodes.
+        """
         ...
 
     def close(self) -> None:

@@ -11,17 +11,19 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uarm_rl.usage import COMMANDS, OVERVIEW, UsageError, explain, help_text
+from uarm_rl.usage import COMMANDS, OVERVIEW, UsageError, as_overrides, config_name, explain, help_text
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from uarm_rl.env import UArmSuctionEnv
     from uarm_rl.policy import Policy
+    from uarm_rl.real.trials import Search
 
 Settings = dict[str, Any]
 
@@ -64,6 +66,21 @@ def _agents() -> dict[str, Callable[..., Any]]:
     return {"ddpg": DDPG}
 
 
+def _cameras() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.real.camera import OpenMVCamera, StillImages, Webcam
+
+    def file(path: str) -> StillImages:
+        return StillImages(Path(path))
+
+    return {"openmv": OpenMVCamera, "webcam": Webcam, "file": file, "none": nullcontext}
+
+
+def _detectors() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.real.detection import ColourDetector, MarkerDetector
+
+    return {"colour": ColourDetector, "marker": MarkerDetector}
+
+
 #: The open sets: configuration group -> its classes by name. Functions, so that a command imports only what it uses.
 OPEN_SETS: Final = {
     "hold": _holds,
@@ -72,6 +89,8 @@ OPEN_SETS: Final = {
     "noise": _noises,
     "servo": _servos,
     "agent": _agents,
+    "camera": _cameras,
+    "detector": _detectors,
 }
 
 
@@ -138,7 +157,7 @@ def compose(command: str, overrides: tuple[str, ...] = ()) -> Settings:
     import hydra
 
     with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
-        return _plain(hydra.compose(command, list(overrides)))
+        return _plain(hydra.compose(config_name(command), list(overrides)))
 
 
 def _plain(cfg: DictConfig) -> Settings:
@@ -396,6 +415,170 @@ def render(settings: Settings) -> None:
     print(f"{out}: {len(pictures)} pictures, {successes} of {len(resets)} episodes successful")
 
 
+# --------------------------------------------------------------------------------------- the commands at the real arm
+
+
+def run_real(settings: Settings) -> None:
+    """Trials of a policy on the real arm."""
+    import numpy as np
+    import yaml
+
+    from uarm_rl import checks, lab
+    from uarm_rl.real.trials import GivenTarget, RandomTargets, Task
+
+    dry_run = checks.boolean("dry_run", settings["dry_run"])
+    size_m = lab.object_size(settings["object_size_m"])
+    limits = lab.limits(settings["limits"])
+    policy, metadata, folder = _policy_for_the_arm(settings)
+    for warning in lab.check_policy(metadata, limits.max_step_rad):
+        print(f"warning: {warning}", file=sys.stderr)
+    task = Task(
+        hold=build("hold", metadata["hold"]),
+        **{key: metadata[key] for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
+        **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
+    )
+    lab.check_press(size_m[2], task.max_press_m, limits)
+    target = None if settings["target"] is None else lab.target(settings["target"], task.max_press_m, limits)
+    generator = np.random.default_rng(checks.integer("seed", settings["seed"], low=0))
+    arm_settings = {"limits": limits, "feed": lab.feed(metadata, settings["feed"]), "control_hz": metadata["control_hz"]}
+
+    def open_search(stack: ExitStack) -> Search:
+        if target is not None:
+            return GivenTarget(target)
+        if dry_run and settings["camera"]["name"] != "file":
+            return RandomTargets(generator, size_m[2])
+        return _camera_search(settings, stack, size_m)
+
+    lab.run_trials_and_record(
+        policy,
+        task,
+        open_search,
+        partial(lab.rehearse, print, **arm_settings)
+        if dry_run
+        else partial(lab.connect, settings["port"], speed=settings["speed"], **arm_settings),
+        None if target is not None else lab.scattered(generator),
+        trials=checks.integer("trials", settings["trials"], low=1),
+        folder=None if dry_run else Path(settings["out"] or folder / "real"),
+        overwrite=checks.boolean("overwrite", settings["overwrite"]),
+        config=yaml.safe_dump(settings, sort_keys=False),
+        say=partial(print, flush=True),
+    )
+
+
+def _policy_for_the_arm(settings: Settings) -> tuple[Policy, Settings, Path]:
+    """The policy, its metadata, and the folder whose ``real/`` takes its results."""
+    from uarm_rl import lab
+    from uarm_rl.policy import InverseKinematicsPolicy
+
+    if settings["policy"] == "ik":
+        metadata = _policy_metadata(compose("train", ("experiment=real_arm",)))
+        return InverseKinematicsPolicy(metadata["max_delta_rad"]), metadata, Path(settings["results_dir"]) / "ik" / "seed0"
+    path = Path(str(settings["policy"]))
+    policy = lab.load_policy(path)
+    return policy, policy.metadata, path if path.is_dir() else path.parent
+
+
+def _camera_search(settings: Settings, stack: ExitStack, size_m: tuple[float, float, float]) -> Search:
+    """The search with the configured camera, which ``stack`` closes."""
+    from uarm_rl import lab
+
+    if settings["camera"]["name"] == "none":
+        raise UsageError("without a camera the object has to be told: give --target X Y Z (metres), or choose a camera")
+    emulated = settings["port"] is not None and lab.is_emulated(settings["port"])
+    detector = build("detector", settings["detector"])
+    return lab.camera_search(
+        stack.enter_context(_camera(settings)),
+        detector,
+        Path(settings["calibration"]),
+        emulated=emulated,
+        object_size_m=size_m,
+        whole_object=settings["detector"]["name"] == "colour",
+    )
+
+
+def _camera(settings: Settings) -> Any:
+    """The configured camera; that of an emulated arm if no other is named."""
+    from uarm_rl import lab
+
+    camera = settings["camera"]
+    if camera["name"] == "openmv" and camera["port"] is None and settings["port"] and lab.is_emulated(settings["port"]):
+        camera = camera | {"port": lab.emulated_camera(settings["port"])}
+    return build("camera", camera)
+
+
+def jog(settings: Settings) -> None:
+    """Move one joint of the real arm by a few degrees."""
+    from uarm_rl import lab
+
+    arm_settings = {"limits": lab.limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
+    print("\n".join(lab.jog(settings["port"], settings["joint"], settings["degrees"], **arm_settings)))
+
+
+def doctor(settings: Settings) -> None:
+    """Look at everything that the real arm needs; exit code 1 if there is a problem."""
+    from uarm_rl import lab
+
+    findings = []
+    for finding in lab.examine(
+        settings["port"],
+        None if settings["camera"]["name"] == "none" else partial(_camera, settings),
+        Path(settings["calibration"]),
+        Path(settings["policy"]),
+        lab.limits(settings["limits"]).max_step_rad,
+    ):
+        print(finding, flush=True)
+        findings.append(finding)
+    problems = sum(finding.state == "problem" for finding in findings)
+    print(f"{problems} problem{'s' * (problems != 1)}")
+    if problems:
+        raise SystemExit(1)
+
+
+def calibrate_camera(settings: Settings) -> None:
+    """Measure the camera's lens with pictures of a board, taken now or in a folder already."""
+    from uarm_rl import checks, lab
+    from uarm_rl.real import collecting
+    from uarm_rl.real.calibration import Board
+
+    board, folder, out = Board(**settings["board"]), Path(settings["pictures"]), Path(settings["out"])
+    count = checks.integer("count", settings["count"], low=1)
+    with build("camera", settings["camera"]) as camera:
+        if camera is not None:
+            collecting.collect_board_pictures(camera, board, folder, lab.ask, count)
+    intrinsics, report = collecting.calibrate_intrinsics_from_folder(folder, board, settings["camera"]["name"])
+    intrinsics.save(out)
+    print(f"{report}\n{out}: the lens; go on with uarm-rl calibrate-hand-eye")
+
+
+def calibrate_hand_eye(settings: Settings) -> None:
+    """Measure where the camera sits on the arm with touched marks, touched now or in a file already."""
+    from uarm_rl import lab
+    from uarm_rl.real import collecting
+    from uarm_rl.real.calibration import Intrinsics, calibrate_hand_eye, nominal
+
+    detector, path, out = build("detector", settings["detector"]), Path(settings["observations"]), Path(settings["out"])
+    lens = Intrinsics.load(Path(settings["lens"]))
+    arm_settings = {"limits": lab.limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
+    with ExitStack() as stack:
+        camera = stack.enter_context(_camera(settings))
+        if camera is not None:
+            stack.enter_context(lab.stopped_by_signals())
+            lens.check_size(camera.read())
+            arm = stack.enter_context(lab.connect(settings["port"], **arm_settings))
+            arm.home()
+            collecting.collect_observations(arm, camera, detector, nominal(lens.image_size), path, lab.ask)
+    calibration, report = calibrate_hand_eye(collecting.read_observations(path, lens, detector), lens)
+    calibration.save(out)
+    print(f"{report}\n{out}: lens and mount, what run-real needs")
+
+
+def emulate(settings: Settings) -> None:
+    """Emulate the arm and the camera on two pseudo-terminals until Ctrl-C."""
+    from uarm_rl.emulator.emulate import emulate as serve
+
+    serve(**{key: value for key, value in settings.items() if key != "results_dir"})
+
+
 # --------------------------------------------------------------------------------------------------- the front door
 
 
@@ -420,12 +603,13 @@ def _dispatch(words: list[str]) -> None:
     if _completes(words):
         return
     if not words or words[0] in ("-h", "--help"):
-        print(OVERVIEW.format(commands="\n".join(f"  {name:9} {text}" for name, text in COMMANDS.items())))
+        print(OVERVIEW.format(commands="\n".join(f"  {name:18} {text}" for name, text in COMMANDS.items())))
     elif words[0] == "--version":
         from uarm_rl import __version__
 
         print(f"uarm-rl {__version__}")
     else:
+        words = [words[0], *as_overrides(words[1:])]
         _check_words(words)
         _run(words[0], words[1:])
 
@@ -449,7 +633,7 @@ def _check_words(words: list[str]) -> None:
         raise UsageError(f"there is no command {command!r}; {hint}")
     for word in rest:
         if word.startswith("-") and word not in _FLAGS:
-            raise UsageError(f"{word} is no option of uarm-rl {command}; it takes name=value, -m and --help")
+            raise UsageError(f"{word} is no option of uarm-rl {command}; it takes name=value or --name value, -m and --help")
         if word.startswith(("+", "~")):
             raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
         if word.startswith("hydra") and word not in _HYDRA_OVERRIDES and not _is_job_count(word):
@@ -476,7 +660,19 @@ def _run(command: str, words: list[str]) -> None:
 
 
 def _task(command: str) -> Callable[[Settings], None]:
-    return {"train": train, "evaluate": evaluate, "report": report, "render": render}[command]
+    tasks: dict[str, Callable[[Settings], None]] = {
+        "train": train,
+        "evaluate": evaluate,
+        "report": report,
+        "render": render,
+        "run-real": run_real,
+        "jog": jog,
+        "doctor": doctor,
+        "calibrate-camera": calibrate_camera,
+        "calibrate-hand-eye": calibrate_hand_eye,
+        "emulate": emulate,
+    }
+    return tasks[command]
 
 
 def _run_many(command: str, overrides: list[str]) -> None:
@@ -495,7 +691,7 @@ def _run_many(command: str, overrides: list[str]) -> None:
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come through to main(), which explains them
     sys.argv = [sys.argv[0], "--multirun", *overrides]
-    hydra.main(config_path="pkg://uarm_rl.conf", config_name=command, version_base="1.3")(task)()
+    hydra.main(config_path="pkg://uarm_rl.conf", config_name=config_name(command), version_base="1.3")(task)()
 
 
 def _completes(words: list[str]) -> bool:
@@ -511,7 +707,7 @@ def _completes(words: list[str]) -> bool:
     command = line[1] if len(line) > 2 and line[1] in COMMANDS else "train"
     if len(line) > 2:
         os.environ["COMP_LINE"] = " ".join([line[0], *line[2:]])
-    hydra.main(config_path="pkg://uarm_rl.conf", config_name=command, version_base="1.3")(lambda cfg: None)()
+    hydra.main(config_path="pkg://uarm_rl.conf", config_name=config_name(command), version_base="1.3")(lambda cfg: None)()
     return True
 
 

@@ -18,7 +18,7 @@ from uarm_rl.reward import DistanceReward
 
 ACTION_SIZE: Final = 3
 
-#: Columns of ``info["trace"]``: one row a control step.
+#: Columns of ``info["trace"]``: one row each time the arm is looked at.
 TRACE_COLUMNS: Final = (
     *(f"joint{number}_rad" for number in (1, 2, 3)),
     *(f"cup_{axis}_m" for axis in "xyz"),
@@ -45,7 +45,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ``info`` of a step: ``is_success``, ``distance_m``, ``control_steps`` of the decision, ``clipped`` (the reference
     was cut at a limit), ``travel_rad`` (largest joint difference between the two states), the reward's terms, and
-    ``trace``, an array of shape (control_steps, 9) with the columns ``TRACE_COLUMNS``.
+    ``trace``, an array of shape (looks, 9) with the columns ``TRACE_COLUMNS``: one look a control step, fewer on an arm
+    that takes several steps to come to rest.
     """
 
     metadata = {"render_modes": ["human", "rgb_array", "rgb_array_list"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's own form)
@@ -121,26 +122,27 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         start_joints, start_cup, start_object = self._joints, self._link_ends[3].tolist(), self._object
         clipped = self._command(action)
-        trace = []
+        trace, control_steps = [], 0
         lost = timed_out = released = exploded = False
         while not (self._flag or lost or timed_out or released):
             last = self._joints
             try:
-                self.arm.advance()
+                passed = self.arm.advance()
             except PhysicsError:
                 exploded = True
                 break
-            lost = not self._sense()
+            lost = not self._sense(passed)
+            control_steps += passed
             trace.append(self.state())
             timed_out = self._elapsed_steps >= self._step_limit
-            released = self._hold.releases(len(trace), _travel(last, self._joints))
+            released = self._hold.releases(control_steps, _travel(last, self._joints))
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
         terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object)
         info = {
             "is_success": self._flag,
             "distance_m": self._distance_m(),
-            "control_steps": len(trace),
+            "control_steps": control_steps,
             "clipped": clipped,
             "travel_rad": _travel(start_joints, self._joints),
             "reward_distance": terms.distance,
@@ -165,8 +167,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.arm.command_joints(reference)
         return reference != wanted
 
-    def _sense(self) -> bool:
-        """Read arm and object after a control step; false if the object is out of reach."""
+    def _sense(self, passed: int) -> bool:
+        """Read arm and object after ``passed`` control steps; false if the object is out of reach."""
         self._joints = self.arm.read_joints()
         if not all(math.isfinite(joint) for joint in self._joints):
             raise ArmError(f"the arm reports joints that are no numbers: {self._joints}")
@@ -174,8 +176,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         position = self.target.object_position()
         if position is not None:
             self._object = position
-        self._elapsed_steps += 1
-        self._dwelt_steps = self._dwelt_steps + 1 if self._distance_m() <= self._tolerance_m else 0
+        self._elapsed_steps += passed
+        # Of the way in, only its end is known to be near enough.
+        stayed = passed if self._dwelt_steps else 1
+        self._dwelt_steps = self._dwelt_steps + stayed if self._distance_m() <= self._tolerance_m else 0
         self._flag = self._dwelt_steps >= self._dwell_steps > 0
         return position is not None and kinematics.reachable(position)
 

@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from uarm_rl import files, kinematics, observation
 
 Array = NDArray[np.float32]
 Layers = Sequence[tuple[Array, Array]]
+
+FILE: Final = "policy.safetensors"  # its name in a run folder
 
 _FORMAT = "uarm-rl policy 1"  # the one key of the file's metadata: with two, their order would be random
 _MAX_BYTES = 64 * 1024 * 1024

@@ -14,12 +14,14 @@ from uarm_rl.policy import Policy
 
 @dataclass(frozen=True)
 class Episode:
-    """What happened. ``trace`` has one row a control step, the state at the start included (``env.TRACE_COLUMNS``)."""
+    """What happened. ``trace`` has the state at the start and one row a look (``env.TRACE_COLUMNS``): in simulation a
+    look is a control step, a real arm is looked at when it stands still.
+    """
 
     success: bool
     episode_return: float
     decisions: int
-    trace: NDArray[np.float64]  # (control_steps + 1, 9)
+    trace: NDArray[np.float64]  # (looks + 1, 9)
 
 
 def run_episode(env: UArmSuctionEnv, policy: Policy, **reset: Any) -> Episode:

@@ -1,11 +1,12 @@
-"""Faults of the arm, its cable and its power as data."""
+"""Faults of arm, camera, cables and power as data."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
-#: What a fault does, from the moment it strikes.
+#: What a fault of the arm does, from the moment it strikes.
 EFFECTS: Final = {
     "silence": "nothing is sent any more",
     "late": "the reply comes delay_s later",
@@ -18,23 +19,51 @@ EFFECTS: Final = {
     "power": "12 V disappears delay_s later",
     "unplug": "the cable is pulled delay_s later",
 }
+#: The same for the camera. Its pictures have no checksum: only a length in front, and JPEG inside.
+CAMERA_EFFECTS: Final = {
+    "silence": "nothing is sent any more",
+    "late": "the picture comes delay_s later",
+    "lost": "the picture never comes",
+    "slow": "packets of 64 bytes come delay_s apart from here on",
+    "truncated": "the second half of the picture never comes",
+    "dropped": "one byte in the middle of the picture is missing",
+    "corrupt": "some bytes in the middle of the picture are wrong",
+    "length": "the four bytes of the length are data",
+    "text": "data comes before the length (with lost: alone)",
+    "trailing": "data comes after the picture",
+    "frozen": "the picture before comes again, and again from here on",
+    "size": "the picture is half as wide and high",
+    "unplug": "the cable is pulled delay_s later",
+}
 
 
 @dataclass(frozen=True)
 class Fault:
-    """``effect`` strikes at the ``nth`` arrival of ``command`` (e.g. ``G2206``; ``any`` counts all of them)."""
+    """``effect`` strikes at the ``nth`` arrival of ``command`` (e.g. ``G2206``; ``any`` counts all), ``times`` in a row."""
 
     effect: str
     command: str = "any"
     nth: int = 1
+    times: int = 1
     delay_s: float = 0.0
     data: bytes = b""
+    effects: ClassVar[Mapping[str, str]] = EFFECTS
 
     def __post_init__(self) -> None:
-        if self.effect not in EFFECTS:
-            raise ValueError(f"a fault's effect is one of {', '.join(EFFECTS)}, got {self.effect!r}")
-        if self.nth < 1 or not 0.0 <= self.delay_s < 3600.0:
-            raise ValueError(f"a fault needs nth >= 1 and 0 <= delay_s < 3600, got {self.nth!r} and {self.delay_s!r}")
+        if self.effect not in self.effects:
+            raise ValueError(f"a fault's effect is one of {', '.join(self.effects)}, got {self.effect!r}")
+        if self.nth < 1 or self.times < 1 or not 0.0 <= self.delay_s < 3600.0:
+            raise ValueError(
+                f"a fault needs nth and times of at least 1 and 0 <= delay_s < 3600, got {self.nth!r}, {self.times!r} "
+                f"and {self.delay_s!r}"
+            )
+
+
+@dataclass(frozen=True)
+class CameraFault(Fault):
+    """The same for the camera, whose only command is ``snap``."""
+
+    effects: ClassVar[Mapping[str, str]] = CAMERA_EFFECTS
 
 
 class Faults:
@@ -48,5 +77,5 @@ class Faults:
         """Count ``command`` and return the faults that strike at it, by effect."""
         for name in (command, "any"):
             self._counts[name] = self._counts.get(name, 0) + 1
-        due = [f for f in self._faults if f.command in (command, "any") and self._counts[f.command] == f.nth]
+        due = [f for f in self._faults if f.command in (command, "any") and 0 <= self._counts[f.command] - f.nth < f.times]
         return {fault.effect: fault for fault in due}

@@ -26,7 +26,7 @@ _STALL_S: Final = 0.03  # reading all encoders in motion: a standstill of 15 to 
 _UNLOCK_S: Final = 0.5
 _MPOS_DEG: Final = 80.0  # grbl's unit
 _LATENCY_S: Final = {
-    **dict.fromkeys(("P2200", "P2220", "P2221", "P2243", "M17", "M2201", "M2401"), 0.04),  # 13 ms an encoder
+    **dict.fromkeys(("P2200", "P2220", "P2221", "P2243", "M17", "M2123", "M2201", "M2401"), 0.04),  # 13 ms an encoder
     **dict.fromkeys(("M2220", "M2221", "M2222"), 0.0055),
     "P2206": 0.0143,
 }
@@ -106,6 +106,8 @@ class Firmware:
 
     def _tick(self, dt_s: float) -> None:
         machine = self.machine
+        if not machine.started and self.now_s >= self._booted_s:
+            machine.start()
         was_moving = machine.motion.moving
         machine.drive(dt_s)
         self._end_due |= was_moving and not machine.motion.moving
@@ -298,7 +300,7 @@ class Firmware:
         elif effect == "reset":
             self.reset()
         elif effect == "power":
-            self.machine.power_12v = False
+            self.machine.lose_power()
             self._emit("@5 V0\n")
         elif effect == "unplug":
             self.unplugged = True

@@ -34,7 +34,8 @@ class Machine:
 
     def reset(self) -> None:
         self.motion = Motion(self.encoders())
-        self.motors_on = [self.settings.motors_on_at_boot] * 3  # B, L, R
+        self.started = False
+        self.motors_on = [False] * 3  # B, L, R
         self.parser_mm = (0.0, 0.0, 0.0)  # the G-code parser's idea of where it is
         self.feed = 0.0
         self.relative = False
@@ -42,6 +43,20 @@ class Machine:
         self.report_period_s = 0.0
         self.reports_end = False
         self.busy_s = 0.0  # of a beep that was just asked for
+        self._stop_pump()
+
+    def start(self) -> None:
+        """The boot loader is done: the motors hold where the arm has sagged to."""
+        self.started = True
+        self.motors_on = [self.settings.motors_on_at_boot] * 3
+        self.resynchronise()
+
+    def lose_power(self) -> None:
+        """12 V is gone: motors limp, pump off; the controller lives on from USB."""
+        self.power_12v = False
+        self._stop_pump()
+
+    def _stop_pump(self) -> None:
         self.pumping = False
         self.joints.suck(False)
 
@@ -88,7 +103,7 @@ class Machine:
         name, rest = match[1] + match[2], command[match.end() :]
         if name in _GRBL:
             return _GRBL[name](self, _free_words(rest)) or "ok"
-        if name not in _COMMANDS:
+        if name not in _COMMANDS or self.settings.version < _SINCE.get(name, ()):
             if name[0] in "PS":
                 return "ok"
             raise RefusalError("E20" if len(match[2]) >= 2 or name[0] == "M" else "")
@@ -261,6 +276,9 @@ _GRBL: Final[dict[str, _Handler]] = {
     "G92": lambda m, w: None,
 }
 
+#: Commands that older firmware does not know.
+_SINCE: Final = {"M2124": (4, 10, 0), "P2235": (4, 10, 0), "P2236": (4, 10, 0), "P2244": (4, 7, 0)}
+
 # Name -> letters of the words, all required and in this order, and what it does. Left out, and therefore answered as
 # unknown: what would spoil the calibration or lock up a real arm (M2401, M2410, M2500, S1100), and the EEPROM.
 _COMMANDS: Final[dict[str, tuple[str, _Handler]]] = {
@@ -301,6 +319,9 @@ _COMMANDS: Final[dict[str, tuple[str, _Handler]]] = {
     "P2232": ("", lambda m, w: "ok V0"),
     "P2233": ("", lambda m, w: f"ok V{int(m.joints.tip_pressed())}"),
     "P2234": ("", lambda m, w: f"ok V{int(m.power_12v)}"),
+    "P2235": ("", lambda m, w: "ok V0"),
+    "P2236": ("N", lambda m, w: "ok V1"),  # a button of the base: released
+    **{name: ("N", lambda m, w: "ok V0") for name in ("P2240", "P2241")},
     "P2242": ("", lambda m, w: _counts(geometry.POINT_B_DEG)),
     "P2243": ("", lambda m, w: _counts(m.encoders())),
     "P2244": ("", lambda m, w: "ok V0"),

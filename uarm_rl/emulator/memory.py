@@ -1,8 +1,8 @@
-"""The emulated arm as a port in memory, with a clock of its own: minutes of arm time in milliseconds, always the same."""
+"""An emulated device as a port in memory, with a clock of its own: minutes of its time in milliseconds, always the same."""
 
 from __future__ import annotations
 
-from uarm_rl.emulator.firmware import Firmware
+from uarm_rl.emulator.pty import Device
 
 _QUANTUM_S = 0.002
 _READ_S = 0.02  # how long a read waits, as on the real port
@@ -11,10 +11,11 @@ _READ_S = 0.02  # how long a read waits, as on the real port
 class MemoryPort:
     """A ``Port`` of ``real.link`` and its clock: ``Link(port, "emulator", clock=port.clock)``.
 
-    Time passes while somebody reads. ``written`` keeps the bytes from the host, for tests and dry runs.
+    ``firmware`` may be the camera as well. Time passes while somebody reads. ``written`` keeps the bytes from the host,
+    for tests and dry runs.
     """
 
-    def __init__(self, firmware: Firmware) -> None:
+    def __init__(self, firmware: Device) -> None:
         self.firmware = firmware
         self.written = bytearray()
         self._now_s = firmware.now_s

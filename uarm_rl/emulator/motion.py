@@ -44,6 +44,13 @@ class Joints(Protocol):
         ...
 
 
+def with_play(joints_deg: MotorAngles, motor_deg: MotorAngles, backlash_deg: float) -> MotorAngles:
+    """Where motors at ``motor_deg`` take the joints, which stay where they are inside the play of the gears."""
+    half = 0.5 * backlash_deg
+    b, left, right = (min(max(at, to - half), to + half) for at, to in zip(joints_deg, motor_deg, strict=True))
+    return b, left, right
+
+
 @dataclass
 class KinematicJoints:
     """Joints that are where the motors are, apart from ``backlash_deg`` of play; nothing to hold but ``sealed``."""
@@ -55,11 +62,8 @@ class KinematicJoints:
     sucking: bool = False
 
     def drive(self, motor_deg: MotorAngles | None, dt_s: float) -> None:
-        if motor_deg is None:
-            return
-        half = 0.5 * self.backlash_deg
-        b, left, right = (min(max(at, to - half), to + half) for at, to in zip(self.angles, motor_deg, strict=True))
-        self.angles = b, left, right
+        if motor_deg is not None:
+            self.angles = with_play(self.angles, motor_deg, self.backlash_deg)
 
     def motor_deg(self) -> MotorAngles:
         return self.angles

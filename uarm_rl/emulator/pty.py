@@ -1,4 +1,4 @@
-"""Serves the emulated firmware on a raw pseudo-terminal, for any program that can open a serial port."""
+"""Serves an emulated device on a raw pseudo-terminal, for any program that can open a serial port."""
 
 from __future__ import annotations
 
@@ -9,25 +9,42 @@ import time
 import tty
 from contextlib import suppress
 from types import TracebackType
+from typing import Protocol
 
 from uarm_rl import checks
-from uarm_rl.emulator.firmware import Firmware
 
+MAX_SPEED = 50.0
 _POLL_S = 0.002
-_MAX_STEP_S = 0.1  # of arm time in one go; a world that cannot keep up slows down rather than jumps
+_MAX_STEP_S = 0.1  # of device time in one go; a world that cannot keep up slows down rather than jumps
+_MAX_UNREAD_BYTES = 1 << 20  # what waits for a client that does not read; more is lost
+
+
+class Device(Protocol):
+    """Bytes and time in, bytes out: ``Firmware``, or the camera."""
+
+    now_s: float
+    unplugged: bool
+
+    def reset(self) -> None:
+        """Start anew."""
+        ...
+
+    def advance(self, to_s: float, received: bytes = b"") -> bytes:
+        """Let time pass until ``to_s``, then receive bytes; returns what was sent meanwhile."""
+        ...
 
 
 class PtyServer:
-    """A thread that moves bytes between ``firmware`` and the terminal ``path``; a context manager.
+    """A thread that moves bytes between ``device`` and the terminal ``path``; a context manager.
 
-    ``speed``: seconds of arm time in a second. As on the real arm, opening the port resets the controller
+    ``speed``: seconds of the device's time in a second. As on the real arm, opening the port resets the controller
     (``reset_on_open``; a close and an open within 2 ms pass unnoticed). An unplugged cable closes the terminal: the
     client sees its end of file or an I/O error.
     """
 
-    def __init__(self, firmware: Firmware, *, speed: float = 1.0, reset_on_open: bool = True) -> None:
-        self._firmware = firmware
-        self._speed = checks.number("speed", speed, low=0.0, high=1000.0, open_low=True)
+    def __init__(self, device: Device, *, speed: float = 1.0, reset_on_open: bool = True) -> None:
+        self._device = device
+        self._speed = checks.number("speed", speed, low=0.0, high=MAX_SPEED, open_low=True)
         self._reset_on_open = reset_on_open
         self._master, slave = os.openpty()
         try:
@@ -38,7 +55,7 @@ class PtyServer:
             os.close(slave)  # so that the first client's open can be told from none
         self._stop = threading.Event()
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._serve, name="emulated arm", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name=f"serves {self.path}", daemon=True)
 
     def __enter__(self) -> PtyServer:
         self._thread.start()
@@ -53,7 +70,7 @@ class PtyServer:
         return not self._thread.is_alive()
 
     def close(self) -> None:
-        """Stop serving; raises what the firmware or its joints raised meanwhile."""
+        """Stop serving; raises what the device or the world behind it raised meanwhile."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -72,9 +89,11 @@ class PtyServer:
     def _loop(self) -> None:
         poller = select.poll()
         poller.register(self._master, select.POLLIN)
-        arm_s, wall_s = self._firmware.now_s, time.monotonic()
+        device_s, wall_s = self._device.now_s, time.monotonic()
         connected = False
-        while not (self._stop.is_set() or self._firmware.unplugged):
+        unread = b""  # the terminal takes about 4 kB at a time
+        while not (self._stop.is_set() or self._device.unplugged):
+            poller.modify(self._master, select.POLLIN | (select.POLLOUT if unread else 0))
             ready = poller.poll(1000.0 * _POLL_S)
             flags = ready[0][1] if ready else 0
             hung_up = bool(flags & select.POLLHUP)
@@ -85,11 +104,12 @@ class PtyServer:
             if hung_up and not received:
                 time.sleep(_POLL_S)  # poll does not wait on a terminal that nobody has open
             elif not hung_up and not connected and self._reset_on_open:
-                self._firmware.reset()
+                self._device.reset()
             connected = not hung_up
             now_s = time.monotonic()
-            arm_s, wall_s = arm_s + min(self._speed * (now_s - wall_s), _MAX_STEP_S), now_s
-            sent = self._firmware.advance(arm_s, received)
-            if connected and sent:
-                with suppress(OSError):  # a client that does not read, or has just gone, loses bytes
-                    os.write(self._master, sent)
+            device_s, wall_s = device_s + min(self._speed * (now_s - wall_s), _MAX_STEP_S), now_s
+            sent = self._device.advance(device_s, received)
+            unread = (unread + sent)[:_MAX_UNREAD_BYTES] if connected else b""
+            if unread:
+                with suppress(OSError):  # full, or the client has just gone
+                    unread = unread[os.write(self._master, unread) :]

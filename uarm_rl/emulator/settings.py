@@ -1,9 +1,15 @@
-"""What kind of arm is emulated."""
+"""What kind of arm is emulated, and how far from perfect arm, mount and camera are."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from uarm_rl import checks
 from uarm_rl.emulator.motion import MotorAngles
 
 
@@ -34,3 +40,68 @@ class Settings:
     def api(self) -> str:
         """The API version that belongs to the firmware."""
         return self.firmware if self.version < (4,) else "V4.0.5" if self.version >= (4, 10, 0) else "V4.0.4"
+
+
+#: Where each kind of imperfection may be at most: a level beyond it is another arm, or a mistake.
+_HIGHEST: Final = {
+    "serial_latency_s": 1.0,
+    "boot_s": 10.0,
+    "backlash_deg": 5.0,
+    "joint_offset_deg": 5.0,
+    "grip_s": 5.0,
+    "mount_offset_mm": 50.0,
+    "mount_tilt_deg": 30.0,
+    "snap_s": 4.0,
+    "blur_px": 10.0,
+    "noise": 100.0,
+    "light_gradient": 1.0,
+}
+
+
+@dataclass(frozen=True)
+class Realism:
+    """The levels of ``conf/realism``, which names their sources. Errors of one arm or mount are drawn from a generator."""
+
+    serial_latency_s: float
+    boot_s: float
+    backlash_deg: float
+    joint_offset_deg: float
+    suction_n: float
+    grip_s: float
+    mount_offset_mm: float
+    mount_tilt_deg: float
+    snap_s: float
+    jpeg_quality: int
+    blur_px: float
+    noise: float
+    light: float
+    light_gradient: float
+
+    def __post_init__(self) -> None:
+        for name, high in _HIGHEST.items():
+            checks.number(f"realism.{name}", getattr(self, name), low=0.0, high=high)
+        checks.number("realism.suction_n", self.suction_n, low=0.0, high=100.0, open_low=True)
+        checks.number("realism.light", self.light, low=0.1, high=3.0)
+        checks.integer("realism.jpeg_quality", self.jpeg_quality, low=60, high=100)
+
+    def draw_joint_offset_deg(self, generator: np.random.Generator) -> MotorAngles:
+        """What the encoders of one arm read beyond the truth."""
+        b, left, right = generator.normal(0.0, 1.0, 3) * self.joint_offset_deg
+        return float(b), float(left), float(right)
+
+    def draw_mount_error(self, generator: np.random.Generator) -> NDArray[np.float64]:
+        """Where one camera is, seen from where its calibration says it is, (4, 4) in metres."""
+        x, y, z = np.radians(self.mount_tilt_deg) * generator.normal(0.0, 1.0, 3)
+        error = np.eye(4)
+        error[:3, :3] = _turn(0, x) @ _turn(1, y) @ _turn(2, z)
+        error[:3, 3] = 0.001 * self.mount_offset_mm * generator.normal(0.0, 1.0, 3)
+        return error
+
+
+def _turn(axis: int, angle_rad: float) -> NDArray[np.float64]:
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[first, first] = matrix[second, second] = math.cos(angle_rad)
+    matrix[second, first] = math.sin(angle_rad)
+    matrix[first, second] = -matrix[second, first]
+    return matrix

@@ -69,27 +69,43 @@ class SwiftArm:
 
     **Time.** The firmware cannot replace a target: moves queue, and "ok" comes when the arm stands still. So
     ``command_joints`` sends one G2206, and the following ``advance`` returns at its ok, which may be many control
-    periods later: on this arm every decision lasts until steady. An ``advance`` with nothing to wait for lets
-    ``1 / control_hz`` seconds pass. Joints are read at standstill only: reading the encoders in motion makes the
-    firmware stumble and answer "ok" too early.
+    periods later, and says how many: on this arm every decision lasts until steady. An ``advance`` with nothing to
+    wait for lets ``1 / control_hz`` seconds pass. Joints are read at standstill only: reading the encoders in motion
+    makes the firmware stumble and answer "ok" too early. An emulator may run faster than real time: ``speed`` is how
+    many seconds of the arm pass in one of the program, so that control periods mean the same there.
 
-    ``feed`` is the firmware's F: 1.333 deg/s of the norm of the motors' speeds, each.
+    ``feed`` is the firmware's F: 1.333 deg/s of the norm of the motors' speeds, each. ``parks``: at the end the arm
+    folds itself, so that it does not fall when it loses power.
     """
 
-    def __init__(self, link: Link, *, limits: Limits | None = None, feed: float = 20.0, control_hz: float = 20.0) -> None:
+    def __init__(
+        self,
+        link: Link,
+        *,
+        limits: Limits | None = None,
+        feed: float = 20.0,
+        control_hz: float = 20.0,
+        speed: float = 1.0,
+        parks: bool = True,
+    ) -> None:
         self._link = link
+        self._parks = parks
+        #: Name of the port.
+        self.port = link.name
         self._limits = limits or Limits()
         #: Firmware version, and how many references were pulled inside a limit so far.
         self.firmware = (0, 0, 0)
         self.clamps = 0
         self._in_motion = False  # as far as is known
         self._awaited: int | None = None  # number of the move whose "ok" is due
+        self._sent_s = 0.0  # when the last move was sent
         self._arrives_within_s = 0.0
         self._ready = False  # the firmware has started
         self._working = False  # and is not expected to start again
         self._closed = False
         try:
             self._period_s = 1.0 / checks.number("control_hz", control_hz, low=1.0, high=1000.0)
+            self._speed = checks.number("speed", speed, low=0.1, high=1000.0)
             top = self._limits.max_speed_deg_s / gcode.FEED_DEG_S
             self._feed = checks.number("feed", feed, low=0.1, high=top)
             link.on_event = self._notice
@@ -173,12 +189,23 @@ class SwiftArm:
         self.wait_until_idle()
         self._move(reference_rad, single_step=True)
 
-    def advance(self) -> None:
-        """Wait until the arm stands still; if it does already, let one control period pass."""
+    def advance(self) -> int:
+        """Wait until the arm stands still, or if it does already one control period; returns the periods that passed."""
+        began_s = self._link.now_s()
         if self._in_motion:
+            began_s = self._sent_s
             self.wait_until_idle()
         else:
-            self._link.listen(self._period_s)
+            self.rest(self._period_s)
+        return max(1, round((self._link.now_s() - began_s) * self._speed / self._period_s))
+
+    def rest(self, seconds: float) -> None:
+        """Let ``seconds`` of the arm's time pass, and hear what it has to say."""
+        self._link.listen(seconds / self._speed)
+
+    def time_s(self) -> float:
+        """Seconds on the arm's clock, from an arbitrary start."""
+        return self._link.now_s() * self._speed
 
     def wait_until_idle(self) -> None:
         """Wait for the "ok" of the last move."""
@@ -242,13 +269,13 @@ class SwiftArm:
         duration_s = audited.distance_deg / speed + speed / gcode.ACCELERATION_DEG_S2
         self._arrives_within_s = 1.5 * duration_s + _MOTION_SLACK_S
         self._target = audited.joints_rad
-        self._in_motion, self._awaited = True, None
+        self._in_motion, self._awaited, self._sent_s = True, None, self._link.now_s()
         self._awaited = self._link.send(audited.command)
 
     # The safe end
 
     def close(self) -> None:
-        """Stop, switch the pump off, start to park, give the port back, within 1 s; closing twice is fine.
+        """Stop, switch the pump off, start to park if it ``parks``, give the port back, within 1 s; closing twice is fine.
 
         Raises ``PumpError`` if the arm does not confirm that the pump is off. Parking is not waited for: the arm
         ends its last move without the program.
@@ -258,10 +285,10 @@ class SwiftArm:
     def _end(self, reason: BaseException | None) -> None:
         if self._closed:
             return
-        self._closed = True
-        # A flush leaves the arm ready for another move. A feed hold, all that older firmware has, does not.
-        may_park = self._working and (not self._in_motion or self.firmware >= _FLUSH_FIRMWARE)
         with _interrupts_deferred():
+            self._closed = True
+            # A flush leaves the arm ready for another move. A feed hold, all that older firmware has, does not.
+            may_park = self._parks and self._working and (not self._in_motion or self.firmware >= _FLUSH_FIRMWARE)
             try:
                 confirmed = self._stop_and_release()
                 if confirmed and may_park:

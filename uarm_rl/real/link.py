@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -28,6 +29,8 @@ except ImportError:  # Windows has none
 log = logging.getLogger(__name__)
 
 USB_ID: Final = (0x2341, 0x0042)  # the Arduino Mega 2560's bridge on the arm's board
+#: USB vendors of OpenMV cameras, whose ports look like the arm's and must not be taken for it.
+CAMERA_VENDORS: Final = (0x1209, 0x37C5)
 BAUD: Final = 115200
 _READ_S: Final = 0.02
 _WRITE_S: Final = 0.2
@@ -102,6 +105,10 @@ class Link:
         self._skipping = False  # inside a line that is too long
         self._last_noise = ""
         self._closed = False
+
+    def now_s(self) -> float:
+        """Seconds on the clock that all deadlines are measured with."""
+        return self._clock()
 
     def request(self, command: gcode.Command, timeout_s: float = 1.0) -> gcode.Reply:
         """Send and wait for the answer."""
@@ -251,6 +258,8 @@ def open_link(port: str | None = None) -> Link:
     On the real arm this pulses DTR and resets the controller: the motors go limp for a moment and the arm may sag.
     """
     name = find_port() if port is None else port
+    if any(os.path.realpath(name) == one.device and one.vid in CAMERA_VENDORS for one in list_ports.comports()):
+        raise PortError(f"{name} is the port of an OpenMV camera, not the arm's; name the arm's port with --port")
     log.info("opening %s, which resets the arm: it may sag for a moment", name)
     try:
         opened = serial.Serial(name, BAUD, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True)

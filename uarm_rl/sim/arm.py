@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
 from types import TracebackType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,8 @@ def _silent(descriptor: int) -> Iterator[None]:
 with _silent(2):
     import pybullet as bullet
 
+__all__ = ["Bodies", "SimArm", "bullet"]
+
 _JOINTS = (0, 1, 2, 3)
 _CUP = 4
 _TORQUE_NM = (1.18, 1.18, 1.18, 1.18)  # the data sheet's 12 kgf cm
@@ -47,6 +50,16 @@ _SLACK_RAD = 0.1  # contact may push a joint past its limit by a little, never b
 _EXPLODED_RAD_S = 1e3
 _PARKED_M = (0.0, 0.6, 0.0)  # the object's place, on the table and out of reach, until it is placed
 _LOST_TILT = math.cos(math.radians(30.0))
+
+
+class Bodies(NamedTuple):
+    """PyBullet's numbers of the world and what is in it, for the emulator, which looks deeper than ``Arm`` allows."""
+
+    client: int
+    arm: int
+    cup_link: int
+    object: int
+    table: int
 
 
 class SimArm:
@@ -85,7 +98,8 @@ class SimArm:
         self._client = self._connect(checks.boolean("sim.gui", gui))
         with resources.as_file(resources.files("uarm_rl.sim") / "assets") as assets:
             self._urdf = str(assets / "uarm_swift_pro.urdf")
-        self._arm = self._object = -1
+        self.torques_nm = _TORQUE_NM  # what the motors of joint1..joint4 can give
+        self._arm = self._object = self._table = -1
         self.home()
 
     @staticmethod
@@ -98,6 +112,11 @@ class SimArm:
         bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=client)
         bullet.resetDebugVisualizerCamera(0.6, 50, -30, (0.2, 0, 0.08), physicsClientId=client)
         return client
+
+    @property
+    def bodies(self) -> Bodies:
+        """PyBullet's numbers, valid until ``close``."""
+        return Bodies(self._client, self._arm, _CUP, self._object, self._table)
 
     def home(self) -> None:
         """Build the world anew: arm at rest in the home pose, object parked out of reach."""
@@ -115,6 +134,7 @@ class SimArm:
             )
         bullet.setGravity(0, 0, -9.81, **client)
         table = self._box(half_extents=(0.5, 0.8, 0.05), mass=0.0, centre=(0.1, 0.0, -0.05), colour=(0.87, 0.83, 0.77, 1))
+        self._table = table
         half = self._object_size_m / 2.0
         x, y, z = _PARKED_M
         self._object = self._box((half, half, half), self._object_mass_kg, (x, y, z + half), (0.85, 0.25, 0.15, 1))
@@ -155,7 +175,7 @@ class SimArm:
         joint1, joint2, joint3 = reference_rad
         self._servo.command((joint1, joint2, joint3), self.read_joints())
 
-    def advance(self) -> None:
+    def advance(self) -> int:
         client, arm, dt = self._client, self._arm, self._dt_s
         for _ in range(self._steps_per_control):
             one, two, three, four = bullet.getJointStates(arm, _JOINTS, physicsClientId=client)
@@ -164,14 +184,16 @@ class SimArm:
             # The limits act as mechanical stops: no joint is driven past them, the coupled one included.
             n1, n2, n3 = kinematics.clip_to_limits(q1 + v1 * dt, q2 + v2 * dt, q3 + v3 * dt)
             velocities = (n1 - q1) / dt, (n2 - q2) / dt, (n3 - q3) / dt, (kinematics.level(n2, n3) - four[0]) / dt
+            forces = self.torques_nm
             bullet.setJointMotorControlArray(
-                arm, _JOINTS, bullet.VELOCITY_CONTROL, targetVelocities=velocities, forces=_TORQUE_NM, physicsClientId=client
+                arm, _JOINTS, bullet.VELOCITY_CONTROL, targetVelocities=velocities, forces=forces, physicsClientId=client
             )
             bullet.stepSimulation(physicsClientId=client)
         if not (
             abs(v1) + abs(v2) + abs(v3) < _EXPLODED_RAD_S and kinematics.within_limits((q1, q2, q3), _SLACK_RAD)
         ):  # NaN too
             raise PhysicsError(f"the joints are at ({q1:g}, {q2:g}, {q3:g}) rad, asked for ({v1:g}, {v2:g}, {v3:g}) rad/s")
+        return 1
 
     def place_object(self, top_m: Sequence[float] | Vector) -> None:
         x, y, z = (float(value) for value in top_m)

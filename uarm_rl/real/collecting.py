@@ -1,0 +1,314 @@
+"""Gathers what a calibration needs: pictures of the board, and touched marks with their pictures, as files or live.
+
+What the commands call::
+
+    uarm-rl calibrate-camera       collect_board_pictures(camera, board, folder, ask)                    live
+                                   calibrate_intrinsics_from_folder(folder, board, name) -> Intrinsics, report
+    uarm-rl calibrate-hand-eye     collect_observations(arm, camera, detector, guess, csv_path, ask)     live
+                                   read_observations(csv_path, intrinsics, detector) -> list of Observation
+                                   calibration.calibrate_hand_eye(observations, intrinsics) -> Calibration, report
+
+``guess`` is ``calibration.nominal(...)`` or an older calibration. ``ask`` shows a text to the user and returns the
+answer: ``input``, say. What is collected is on the disk at once, so an interrupted session can be used or continued.
+
+**The session with the arm.** Each mark is something flat that the detector finds and the cup can touch: an AprilTag of
+15 to 20 mm, or a coloured dot, on top of a flat block of 10 to 40 mm. For each mark the user
+
+1. puts it somewhere in front of the arm, each time elsewhere, near and far, left and right;
+2. drives the cup down onto its middle with moves like ``x 5``, ``y -2.5``, ``z -1`` (millimetres in the base frame),
+   until the cup's lip just touches, and answers ``touch``: the cup's position, read back from the encoders, is the
+   mark's;
+3. leaves it where it is: the arm rises, looks at it from several poses at three heights, and keeps what it sees.
+
+The arm does it with the driver's limits on; what the audit refuses is shown and asked for again.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, Protocol
+
+import cv2
+import numpy as np
+
+from uarm_rl import files, kinematics
+from uarm_rl.arm import JointPositions
+from uarm_rl.real import projection
+from uarm_rl.real.audit import UnsafeCommandError
+from uarm_rl.real.calibration import (
+    Board,
+    Calibration,
+    CalibrationError,
+    Intrinsics,
+    Observation,
+    calibrate_intrinsics,
+)
+from uarm_rl.real.camera import Camera, Picture, picture_files, read_picture
+from uarm_rl.real.detection import Detector, TargetNotFoundError
+
+Ask = Callable[[str], str]
+
+# Pictures of the board
+
+
+def collect_board_pictures(camera: Camera, board: Board, folder: Path, ask: Ask, count: int = 15) -> None:
+    """Take pictures until ``count`` of them show the whole board, and write them to ``folder`` as PNG.
+
+    Answering ``done`` ends it early. Pictures that are there already count.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    number = len(list(folder.glob("board*.png")))
+    word = f"pictures go to {folder}"
+    while number < count:
+        answer = ask(
+            f"{word}. Picture {number + 1} of {count}: hold the board still, tilted by 20 to 40 degrees to another side each "
+            "time, also in the corners of the picture; press Enter, or type done: "
+        )
+        if answer.strip().lower() in ("done", "quit"):
+            return
+        picture = camera.read()
+        if board.corners(picture) is None:
+            word = "the whole board is not visible, try again"
+            continue
+        number += 1
+        path = folder / f"board{number:02d}.png"
+        write_picture(path, picture)
+        word = f"{path.name} is good"
+
+
+def calibrate_intrinsics_from_folder(folder: Path, board: Board, camera: str) -> tuple[Intrinsics, str]:
+    """The lens from all pictures of a folder, and a report; see ``calibration.calibrate_intrinsics``."""
+    paths = picture_files(folder)
+    return calibrate_intrinsics([read_picture(path) for path in paths], board, camera, [path.name for path in paths])
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a picture (BGR) as PNG, whole or not at all."""
+    _, data = cv2.imencode(".png", picture)
+    files.replace(path, data.tobytes())
+
+
+# Observations as a table
+
+_PICTURE: Final = "picture"
+_PIXEL: Final = ("u_px", "v_px")
+_NUMBERS: Final = ("joint1_rad", "joint2_rad", "joint3_rad", "x_m", "y_m", "z_m")
+#: Columns of an observations file: where the mark is seen (a picture beside the file, or a pixel, which wins), the
+#: joints at that moment, and where the cup's tip touched the mark (base frame).
+COLUMNS: Final = (_PICTURE, *_PIXEL, *_NUMBERS)
+
+
+def read_observations(path: Path, intrinsics: Intrinsics, detector: Detector | None = None) -> list[Observation]:
+    """The rows of an observations file; marks of rows without a pixel are found in their pictures by ``detector``.
+
+    Raises :class:`CalibrationError`, :class:`CameraError` or :class:`TargetNotFoundError` with the line that is wrong.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CalibrationError(f"the observations {path} cannot be read ({error}); name a CSV file") from error
+    if not rows:
+        raise CalibrationError(f"{path} has no rows; its columns are {', '.join(COLUMNS)}")
+    missing = [name for name in _NUMBERS if name not in rows[0]]
+    if missing:
+        raise CalibrationError(f"{path} has no column {', '.join(missing)}; its columns are {', '.join(COLUMNS)}")
+    observations = []
+    for line, row in enumerate(rows, start=2):
+        where = f"{path}, line {line}"
+        first, second, third, x, y, z = (_number(row, name, where) for name in _NUMBERS)
+        pixel = _pixel(row, where, path.parent, intrinsics, detector)
+        observations.append(Observation(pixel, (first, second, third), (x, y, z)))
+    return observations
+
+
+def _number(row: dict[str, str], name: str, where: str) -> float:
+    try:
+        value = float(row[name])
+    except (TypeError, ValueError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise CalibrationError(f"{where}: {name} must be a number, got {row[name]!r}")
+    return value
+
+
+def _pixel(
+    row: dict[str, str], where: str, folder: Path, intrinsics: Intrinsics, detector: Detector | None
+) -> tuple[float, float]:
+    if row.get(_PIXEL[0]) or row.get(_PIXEL[1]):
+        u, v = (_number({name: row.get(name, "")}, name, where) for name in _PIXEL)
+        return u, v
+    if not row.get(_PICTURE) or detector is None:
+        raise CalibrationError(f"{where}: there is neither a pixel (u_px, v_px) nor a picture with a detector for its mark")
+    picture = read_picture(folder / row[_PICTURE])
+    intrinsics.check_size(picture)
+    try:
+        return detector.detect(picture).centre_px
+    except TargetNotFoundError as error:
+        raise TargetNotFoundError(f"{where}, {row[_PICTURE]}: {error}") from error
+
+
+def append_observations(path: Path, observations: Sequence[Observation], pictures: Sequence[str] = ()) -> None:
+    """Add rows to an observations file, making it with its header if it is new; ``pictures`` are names beside it."""
+    names = list(pictures) or [""] * len(observations)
+    new = not path.exists() or not path.stat().st_size
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "a", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        if new:
+            writer.writerow(COLUMNS)
+        for name, seen in zip(names, observations, strict=True):
+            pixel = [f"{value:.3f}" for value in seen.pixel_px]
+            writer.writerow([name, *pixel, *(f"{value:.6f}" for value in (*seen.joints_rad, *seen.touch_m))])
+
+
+# The session with the arm
+
+
+class PosableArm(Protocol):
+    """An arm that goes where it is told and stays there: ``SwiftArm``."""
+
+    def read_joints(self) -> JointPositions:
+        """joint1..joint3 (rad), read back."""
+        ...
+
+    def move_joints(self, reference_rad: Sequence[float]) -> None:
+        """Go there, however far, and wait."""
+        ...
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass."""
+        ...
+
+
+MARKS: Final = 9
+#: Heights of the cup (m) to look from, and where the mark then is in the picture: offsets from the middle as parts of
+#: half the width and half the height.
+_LOOK_HEIGHTS_M: Final = (0.10, 0.135, 0.17)
+_LOOK_OFFSETS: Final = ((0.0, 0.0), (-0.55, -0.5), (0.55, 0.5))
+_RISE_M: Final = 0.03
+_SETTLE_S: Final = 0.2  # the arm swings a little after it has stopped
+_SKIPPED: Final = (math.inf, math.inf, math.inf)
+_REFUSALS: Final = (kinematics.UnreachableError, UnsafeCommandError)  # nothing has moved; all other errors end the session
+_MAX_JOG_MM: Final = 50.0
+_JOG: Final = re.compile(r"([xyz])\s*=?\s*([-+]?\d+(?:\.\d*)?|[-+]?\.\d+)")
+_JOG_HELP: Final = (
+    "type a move in mm (x 5, y -2.5, z -1), touch when the cup's lip just touches the middle of the mark, skip, or done"
+)
+
+
+def collect_observations(
+    arm: PosableArm,
+    camera: Camera,
+    detector: Detector,
+    guess: Calibration,
+    csv_path: Path,
+    ask: Ask,
+    *,
+    marks: int = MARKS,
+    heights_m: Sequence[float] = _LOOK_HEIGHTS_M,
+) -> int:
+    """Touch marks and look at them, as this module describes; rows and pictures are added at and beside ``csv_path``.
+
+    Returns the number of observations added. ``guess`` says from where a mark will be in view; its lens is not used
+    for anything else. Pictures of another size than the guess's raise :class:`CalibrationError`; errors of arm and
+    camera pass through, with everything up to then on the disk.
+    """
+    added = 0
+    word = f"{marks} marks, one after another"
+    for mark in range(1, marks + 1):
+        touch = _touch(arm, ask, f"{word}. Mark {mark} of {marks}: put it at a new place and bring the cup onto it")
+        if touch is None:
+            return added
+        if touch == _SKIPPED:
+            word = "skipped"
+            continue
+        _rise(arm, touch)
+        seen = _look(arm, camera, detector, guess, touch, heights_m, csv_path)
+        added += seen
+        word = f"seen in {seen} pictures, {added} altogether"
+    return added
+
+
+def _touch(arm: PosableArm, ask: Ask, intro: str) -> tuple[float, float, float] | None:
+    """Where the cup touches the mark (m, as read back); ``_SKIPPED`` or, if the user wants no more marks, ``None``."""
+    word = intro
+    while True:
+        cup = kinematics.cup_position(arm.read_joints())
+        answer = ask(f"{word}. The cup is at ({', '.join(f'{1000.0 * value:.1f}' for value in cup)}) mm; {_JOG_HELP}: ")
+        answer = answer.strip().lower()
+        if answer == "touch":
+            x, y, z = (round(value, 6) for value in cup.tolist())
+            return x, y, z
+        if answer == "skip":
+            return _SKIPPED
+        if answer in ("done", "quit"):
+            return None
+        moves = _JOG.findall(answer)
+        if not moves or _JOG.sub("", answer).strip(" ,"):
+            word = f"{answer!r} is no move"
+            continue
+        if any(abs(float(value)) > _MAX_JOG_MM for _, value in moves):
+            word = f"a move is {_MAX_JOG_MM:g} mm at most"
+            continue
+        goal = cup.copy()
+        for axis, value in moves:
+            goal["xyz".index(axis)] += float(value) / 1000.0
+        try:
+            arm.move_joints(kinematics.inverse(goal).tolist())
+            word = "moved"
+        except _REFUSALS as error:
+            word = f"not moved: {error}"
+
+
+def _rise(arm: PosableArm, touch_m: Sequence[float]) -> None:
+    x, y, z = touch_m
+    with suppress(*_REFUSALS):  # then the way to the first pose has to do
+        arm.move_joints(kinematics.inverse((x, y, z + _RISE_M)).tolist())
+
+
+def _look(
+    arm: PosableArm,
+    camera: Camera,
+    detector: Detector,
+    guess: Calibration,
+    touch: tuple[float, float, float],
+    heights_m: Sequence[float],
+    csv_path: Path,
+) -> int:
+    """Look at a mark from every pose that promises to show it; returns how many pictures do."""
+    seen = 0
+    for joints in _views(guess, touch, heights_m):
+        with suppress(TargetNotFoundError, UnsafeCommandError):
+            arm.move_joints(joints.tolist())
+            arm.rest(_SETTLE_S)
+            at = arm.read_joints()
+            picture = camera.read()
+            guess.check_size(picture)
+            _keep(csv_path, Observation(detector.detect(picture).centre_px, at, touch), picture)
+            seen += 1
+    return seen
+
+
+def _views(guess: Calibration, touch_m: Sequence[float], heights_m: Sequence[float]) -> Iterator[projection.Array]:
+    middle = (np.array(guess.image_size) - 1.0) / 2.0
+    for height_m in heights_m:
+        for offset in _LOOK_OFFSETS:
+            try:
+                joints = projection.look_at(touch_m, guess, height_m, middle * (1.0 + np.array(offset)))
+            except ValueError:  # cannot be seen from there
+                continue
+            yield joints
+
+
+def _keep(csv_path: Path, observation: Observation, picture: Picture) -> None:
+    number = len(list(csv_path.parent.glob(f"{csv_path.stem}-*.png"))) + 1
+    name = f"{csv_path.stem}-{number:03d}.png"
+    csv_path.parent.mkdir(parents=True, exist_ok=True)
+    write_picture(csv_path.with_name(name), picture)
+    append_observations(csv_path, [observation], [name])
