@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
+import re
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ Arrays = dict[str, NDArray[Any]]
 
 _PARTS = ("arrays.safetensors", "state.json")
 _PREFIX = "checkpoint-"
+_MAX_BYTES = 1 << 31  # a replay buffer of ten million transitions
 
 
 class CheckpointError(ValueError):
@@ -43,8 +44,7 @@ def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) ->
     final = run_dir / f"{_PREFIX}{episode:06d}"
     temporary = final.with_name(final.name + ".tmp")
     for stale in (temporary, final):
-        if stale.exists():
-            shutil.rmtree(stale)
+        files.remove(stale)
     temporary.mkdir()
     parts = {
         "arrays.safetensors": save({name: np.asarray(array, order="C") for name, array in arrays.items()}),
@@ -59,7 +59,7 @@ def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) ->
     _verified_parts(final)
     for other in _folders(run_dir):
         if other != final:
-            shutil.rmtree(other)
+            files.remove(other)
 
 
 def read_latest(run_dir: Path) -> tuple[int, Arrays, dict[str, Any]] | None:
@@ -73,20 +73,22 @@ def read_latest(run_dir: Path) -> tuple[int, Arrays, dict[str, Any]] | None:
             parts = _verified_parts(folder)
             arrays, state = load(parts["arrays.safetensors"]), json.loads(parts["state.json"])
             return int(folder.name[len(_PREFIX) :]), arrays, state
-        except (CheckpointError, SafetensorError, ValueError, OSError) as error:
-            problem = problem or CheckpointError(f"{folder} is damaged ({error}); train anew with overwrite=true")
+        except (SafetensorError, ValueError, KeyError, OSError, RecursionError, MemoryError) as error:
+            problem = problem or CheckpointError(f"{folder} is damaged ({error!r:.200}); train anew with overwrite=true")
     if problem:
         raise problem
     return None
 
 
 def _folders(run_dir: Path) -> list[Path]:
-    return sorted(path for path in run_dir.glob(f"{_PREFIX}*") if path.name[len(_PREFIX) :].isdigit())
+    return sorted(path for path in run_dir.glob(f"{_PREFIX}*") if re.fullmatch("[0-9]+", path.name[len(_PREFIX) :]))
 
 
 def _verified_parts(folder: Path) -> dict[str, bytes]:
-    hashes = json.loads((folder / "manifest.json").read_bytes())
-    parts = {name: (folder / name).read_bytes() for name in _PARTS}
+    if folder.is_symlink() or not folder.is_dir():
+        raise CheckpointError(f"{folder} is no folder")
+    hashes = json.loads(files.read(folder / "manifest.json"))
+    parts = {name: files.read(folder / name, at_most=_MAX_BYTES) for name in _PARTS}
     for name, data in parts.items():
         if not isinstance(hashes, dict) or hashes.get(name) != hashlib.sha256(data).hexdigest():
             raise CheckpointError(f"{name} does not match its hash in manifest.json")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Mapping
+from typing import Any
 
 
 def number(name: str, value: object, *, low: float = -math.inf, high: float = math.inf, open_low: bool = False) -> float:
@@ -11,10 +14,10 @@ def number(name: str, value: object, *, low: float = -math.inf, high: float = ma
     Raises :class:`ValueError` with a sentence otherwise.
     """
     allowed = _range(low, high, open_low)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{name} must be a finite number{allowed}, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
+        raise ValueError(f"{name} must be a finite number{allowed}, got {_shown(value)}")
     if not (low < value if open_low else low <= value) or value > high:
-        raise ValueError(f"{name} must be a number{allowed}, got {value!r}")
+        raise ValueError(f"{name} must be a number{allowed}, got {_shown(value)}")
     return float(value)
 
 
@@ -22,15 +25,37 @@ def integer(name: str, value: object, *, low: int, high: int | None = None) -> i
     """``value`` as an int if it is a whole number in [low, high]; :class:`ValueError` with a sentence otherwise."""
     top = math.inf if high is None else high
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= top:
-        raise ValueError(f"{name} must be a whole number{_range(low, top, False)}, got {value!r}")
+        raise ValueError(f"{name} must be a whole number{_range(low, top, False)}, got {_shown(value)}")
     return value
 
 
 def boolean(name: str, value: object) -> bool:
     """``value`` if it is a bool; :class:`ValueError` with a sentence otherwise."""
     if not isinstance(value, bool):
-        raise ValueError(f"{name} must be true or false, got {value!r}")
+        raise ValueError(f"{name} must be true or false, got {_shown(value)}")
     return value
+
+
+def mapping(name: str, value: object) -> dict[str, Any]:
+    """``value`` as a dict if it is one with texts as its keys; :class:`ValueError` with a sentence otherwise."""
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise ValueError(f"{name} must be a group of settings, got {_shown(value)}")
+    return dict(value)
+
+
+def text(name: str, value: object) -> str:
+    """``value`` if it is a text that is not empty; :class:`ValueError` with a sentence otherwise."""
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{name} must be a text, got {_shown(value)}")
+    return value
+
+
+def _shown(value: object) -> str:
+    """A value in a sentence, cut where it would fill the screen."""
+    if isinstance(value, int) and value.bit_length() > 100:
+        return f"a number of about {value.bit_length() * 0.30103:.0f} digits"  # Python refuses to write very long ones
+    shown = repr(value)
+    return shown if len(shown) <= 60 else f"{shown[:60]}..."
 
 
 def _range(low: float, high: float, open_low: bool) -> str:

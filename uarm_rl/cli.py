@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
@@ -16,7 +17,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uarm_rl.usage import COMMANDS, OVERVIEW, UsageError, as_overrides, config_name, explain, help_text
+from uarm_rl import checks
+from uarm_rl.usage import (
+    COMMANDS,
+    OVERVIEW,
+    UsageError,
+    as_overrides,
+    config_name,
+    explain,
+    groups,
+    help_text,
+    printable,
+)
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -100,7 +112,7 @@ def build(group: str, settings: Mapping[str, Any], **runtime: Any) -> Any:
     Raises :class:`ValueError` with a sentence for a name or a key that does not exist, or a value out of range.
     """
     classes = OPEN_SETS[group]()
-    arguments = dict(settings)
+    arguments = checks.mapping(group, settings)
     name = arguments.pop("name", None)
     if name not in classes:
         raise ValueError(f"{group} has no {name!r}; choose one of {', '.join(classes)}")
@@ -124,7 +136,7 @@ def build_env(
     from uarm_rl.env import UArmSuctionEnv
     from uarm_rl.sim.arm import SimArm
 
-    sim = settings["sim"] | {"gui": render_mode == "human"}
+    sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
     try:
         arm = SimArm(build("servo", settings["servo"]), control_hz=settings["control_hz"], **sim)
     except TypeError as error:
@@ -180,7 +192,7 @@ def train(settings: Settings) -> None:
     import torch
     import yaml
 
-    from uarm_rl import checks, positions, session
+    from uarm_rl import positions, session
     from uarm_rl.env import ACTION_SIZE
     from uarm_rl.evaluate import successes
     from uarm_rl.observation import SIZE
@@ -188,12 +200,14 @@ def train(settings: Settings) -> None:
     from uarm_rl.replay import ReplayBuffer
 
     torch.set_num_threads(1)  # two threads are slower at this size, and would change the last bits
-    run_dir = Path(settings["results_dir"]) / str(settings["name"]) / f"seed{settings['seed']}"
+    for name in ("resume", "overwrite", "simulate_beside", "tensorboard"):
+        checks.boolean(name, settings[name])
+    run_dir = _run_folder(settings)
     if settings["resume"] and session.is_finished(run_dir):
         print(f"{run_dir} is finished; nothing to do")
         return
     schedule = session.Schedule(**{name: settings[name] for name in session.Schedule.__dataclass_fields__})
-    seeds = np.random.SeedSequence(checks.integer("seed", settings["seed"], low=0)).spawn(4)
+    seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
     env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
     # Everything is built, and so every value checked, before the folder is touched.
     watched = "human" if checks.boolean("sim.gui", settings["sim"]["gui"]) else None
@@ -247,6 +261,19 @@ def train(settings: Settings) -> None:
         raise SystemExit(130)
 
 
+def _run_folder(settings: Settings) -> Path:
+    name, seed = checks.text("name", settings["name"]), checks.integer("seed", settings["seed"], low=0, high=2**32)
+    if not re.fullmatch(r"\w[\w.,+ -]*", name):
+        raise UsageError(
+            f"name={name} is no name of a folder; take letters, digits and . , + - _, and results_dir=PATH for paths"
+        )
+    return _path(settings, "results_dir") / name / f"seed{seed}"
+
+
+def _path(settings: Settings, name: str) -> Path:
+    return Path(checks.text(name, settings[name]))
+
+
 def _value_range(settings: Settings) -> tuple[float, float]:
     """Lowest and highest value that a state can have: a step's reward at its bounds, for ever."""
     from uarm_rl.kinematics import HEIGHT_M, REACH_M
@@ -273,24 +300,38 @@ def _policy_metadata(settings: Settings) -> Settings:
     }
 
 
+_MAX_CONFIG_BYTES: Final = 1 << 20
+
+
 def read_run(run_dir: Path) -> Settings:
     """The configuration that a run was trained with. Raises :class:`UsageError` if the folder holds no run."""
     import yaml
 
+    from uarm_rl import files
     from uarm_rl.session import CONFIG
 
     if not run_dir.is_dir():
         raise UsageError(f"there is no run folder {run_dir}; a run is results/NAME/seedN, made by uarm-rl train")
+    path = run_dir / CONFIG
     try:
-        settings = yaml.safe_load((run_dir / CONFIG).read_text(encoding="utf-8"))
+        text = files.read(path, at_most=_MAX_CONFIG_BYTES).decode()
+        depth = 0
+        for event in yaml.parse(text, yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent) or depth > 20:
+                raise UsageError(f"{path} refers to its own parts or is nested too deeply; uarm-rl writes no such file")
+        settings = yaml.safe_load(text)
     except FileNotFoundError:
         raise UsageError(f"{run_dir} holds no {CONFIG}; a run is results/NAME/seedN, made by uarm-rl train") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UsageError(f"{run_dir / CONFIG} is damaged: {' '.join(str(error).split())}") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UsageError(f"{path} is damaged: {' '.join(str(error).split())}") from None
     needed = ("sim", "servo", "reward", "buffer", "control_hz", "max_delta_rad", "tolerance_m", "dwell_s", "time_limit_s")
     missing = [key for key in needed if not isinstance(settings, dict) or key not in settings]
     if missing:
-        raise UsageError(f"{run_dir / CONFIG} lacks {missing[0]}; it was not written by uarm-rl train")
+        raise UsageError(f"{path} lacks {missing[0]}; it was not written by uarm-rl train")
+    for group in ("sim", "servo", "reward", "buffer"):
+        checks.mapping(group, settings[group])
+    checks.number("time_limit_s", settings["time_limit_s"], low=0.0, open_low=True)
     return dict(settings)
 
 
@@ -309,7 +350,7 @@ def _load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
 
 def evaluate(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
-    results_dir = Path(settings["results_dir"])
+    results_dir = _path(settings, "results_dir")
     changed = [key for key in ("positions", "tolerance_m", "hold") if settings.get(key) is not None]
     if changed and not settings["out"]:
         raise UsageError(
@@ -317,10 +358,10 @@ def evaluate(settings: Settings) -> None:
         )
     if settings["policy"] == "ik":
         # The baseline's own row: the task of a default training, in a folder beside the runs.
-        run_dir = Path(settings["run"]) if settings["run"] else results_dir / "ik" / "seed0"
+        run_dir = _path(settings, "run") if settings["run"] else results_dir / "ik" / "seed0"
         runs = [(run_dir, read_run(run_dir) if settings["run"] else compose("train"))]
     elif settings["run"]:
-        runs = [(Path(settings["run"]), read_run(Path(settings["run"])))]
+        runs = [(_path(settings, "run"), read_run(_path(settings, "run")))]
     else:
         if settings["out"]:
             raise UsageError("out=FILE takes the result of one run, so give run=DIR too")
@@ -345,12 +386,12 @@ def _runs_to_evaluate(results_dir: Path, overwrite: bool) -> list[Path]:
 def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings) -> None:
     from tqdm import tqdm
 
-    from uarm_rl import checks, positions
+    from uarm_rl import positions
     from uarm_rl.evaluate import COLUMNS
     from uarm_rl.evaluate import evaluate as evaluate_policy
     from uarm_rl.logbook import write_rows
 
-    out = Path(settings["out"]) if settings["out"] else run_dir / "evaluation.csv"
+    out = _path(settings, "out") if settings["out"] else run_dir / "evaluation.csv"
     if out.exists() and not settings["overwrite"]:
         raise UsageError(f"{out} exists already; overwrite=true replaces it, out=FILE writes elsewhere")
     if settings["tolerance_m"] is not None:
@@ -358,7 +399,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings) -> 
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
     where = (
-        positions.load(Path(settings["positions"])) if settings["positions"] else positions.load_packaged("test_positions.csv")
+        positions.load(_path(settings, "positions")) if settings["positions"] else positions.load_packaged("test_positions.csv")
     )
     policy = _load_policy(run_dir, settings["policy"], run_settings)
     make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
@@ -384,20 +425,19 @@ def report(settings: Settings) -> None:
     """Rebuild table and figures."""
     from uarm_rl.report import report as write_report
 
-    print(write_report(Path(settings["results_dir"])))
+    print(write_report(_path(settings, "results_dir")))
 
 
 def render(settings: Settings) -> None:
     """Film a policy."""
     import numpy as np
 
-    from uarm_rl import checks
     from uarm_rl.render import film, write_film
 
-    run_dir = Path(settings["run"])
+    run_dir = _path(settings, "run")
     run_settings = read_run(run_dir)
     policy = _load_policy(run_dir, settings["policy"], run_settings)
-    out = Path(settings["out"]) if settings["out"] else run_dir / "episode.gif"
+    out = _path(settings, "out") if settings["out"] else run_dir / "episode.gif"
     size = (checks.integer("width", settings["width"], low=64), checks.integer("height", settings["height"], low=64))
     episodes = checks.integer("episodes", settings["episodes"], low=1)
     first_seed = checks.integer("seed", settings["seed"], low=0)
@@ -423,7 +463,7 @@ def run_real(settings: Settings) -> None:
     import numpy as np
     import yaml
 
-    from uarm_rl import checks, lab
+    from uarm_rl import lab
     from uarm_rl.real.trials import GivenTarget, RandomTargets, Task
 
     dry_run = checks.boolean("dry_run", settings["dry_run"])
@@ -536,7 +576,7 @@ def doctor(settings: Settings) -> None:
 
 def calibrate_camera(settings: Settings) -> None:
     """Measure the camera's lens with pictures of a board, taken now or in a folder already."""
-    from uarm_rl import checks, lab
+    from uarm_rl import lab
     from uarm_rl.real import collecting
     from uarm_rl.real.calibration import Board
 
@@ -615,7 +655,7 @@ def _dispatch(words: list[str]) -> None:
 
 
 def _fail(sentence: str, code: int) -> None:
-    print(f"error: {sentence}", file=sys.stderr)
+    print(f"error: {printable(sentence)}", file=sys.stderr)
     raise SystemExit(code)
 
 
@@ -638,6 +678,9 @@ def _check_words(words: list[str]) -> None:
             raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
         if word.startswith("hydra") and word not in _HYDRA_OVERRIDES and not _is_job_count(word):
             raise UsageError(f"{word} is not for the command line; of Hydra's own settings only hydra/launcher=joblib is")
+        name, _, value = word.partition("=")
+        if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
+            raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
 
 
 def _is_job_count(word: str) -> bool:
@@ -689,6 +732,10 @@ def _run_many(command: str, overrides: list[str]) -> None:
             print(f"failed: {explain(error)[0]}", file=sys.stderr)
             raise
 
+    results_dir = next((word.partition("=")[2] for word in reversed(overrides) if word.startswith("results_dir=")), "results")
+    for path in (Path(results_dir) / ".hydra", Path(results_dir) / ".hydra" / "multirun.yaml"):
+        if path.is_symlink():
+            raise UsageError(f"{path} is a link, and Hydra would write through it; remove it")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come through to main(), which explains them
     sys.argv = [sys.argv[0], "--multirun", *overrides]
     hydra.main(config_path="pkg://uarm_rl.conf", config_name=config_name(command), version_base="1.3")(task)()
@@ -698,10 +745,12 @@ def _completes(words: list[str]) -> bool:
     """Answer the shell's completion queries: commands here, everything behind a command by Hydra."""
     if not words or words[0] not in ("-sc", "--shell-completion"):
         return False
+    if len(words) != 2 or not re.fullmatch(r"(install|uninstall|query)=(bash|fish|zsh)", words[1]):
+        raise UsageError("-sc takes install=SHELL or uninstall=SHELL, where SHELL is bash, fish or zsh")
     import hydra
 
     line = os.environ.get("COMP_LINE", "").split(" ")
-    if len(words) > 1 and words[1].startswith("query=") and len(line) == 2:
+    if words[1].startswith("query=") and len(line) == 2:
         print("\n".join(name for name in COMMANDS if name.startswith(line[1])))
         return True
     command = line[1] if len(line) > 2 and line[1] in COMMANDS else "train"

@@ -103,6 +103,10 @@ class Network:
         return buffer
 
 
+def _forms(tensors: dict[str, Tensor]) -> dict[str, tuple[torch.Size, torch.dtype]]:
+    return {name: (tensor.shape, tensor.dtype) for name, tensor in tensors.items()}
+
+
 class DDPG:
     """Actor, critic and their targets. Knows nothing of buffers, noise, steps or logs.
 
@@ -121,7 +125,7 @@ class DDPG:
         action_size: int,
         generator: torch.Generator,
     ) -> None:
-        hidden = [checks.integer("agent.hidden", width, low=1) for width in hidden]
+        hidden = [checks.integer("agent.hidden", width, low=1, high=10_000) for width in hidden]
         self.gamma = checks.number("agent.gamma", gamma, low=0.0, high=1.0)
         self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, open_low=True)
@@ -227,7 +231,7 @@ class DDPG:
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
         """Take over what ``tensors()`` of another agent of the same shape gave; ``ValueError`` if it does not fit."""
         own = self.tensors()
-        if {name: value.shape for name, value in own.items()} != {name: value.shape for name, value in tensors.items()}:
+        if _forms(own) != _forms(tensors):
             raise ValueError("the checkpoint holds networks of another shape than agent.hidden describes")
         for name, value in tensors.items():
             own[name].copy_(value)

@@ -25,6 +25,8 @@ TRACE_COLUMNS: Final = (
     *(f"object_{axis}_m" for axis in "xyz"),
 )
 
+_LONGEST_S: Final = 3600.0
+
 #: A new object is not put down where the cup still is.
 _CLEARANCE_M: Final = 0.06
 
@@ -77,10 +79,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._hold = hold
         self._max_delta_rad = checks.number("max_delta_rad", max_delta_rad, low=0.0, high=math.pi, open_low=True)
         self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
-        self._dwell_steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0) * control_hz - 1e-9)
+        self._dwell_steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
         self._step_limit = math.inf
         if time_limit_s is not None:
-            self._step_limit = checks.number("time_limit_s", time_limit_s, low=1.0 / control_hz) * control_hz
+            self._step_limit = checks.number("time_limit_s", time_limit_s, low=1.0 / control_hz, high=_LONGEST_S) * control_hz
         self._object_height_m = object_height_m
         self._take_picture = take_picture
         self._pictures: list[NDArray[np.uint8]] = []

@@ -1,8 +1,15 @@
-"""Files that are whole or not there at all: written beside, flushed, renamed, and the rename flushed too."""
+"""Files that are whole or not there at all: written beside, flushed, renamed, and the rename flushed too.
+
+A run folder may come from somebody else, so what is read must be a plain file of a sensible size, and nothing is
+written through a link that waits there.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
+import stat
 from pathlib import Path
 
 
@@ -21,9 +28,33 @@ def replace(path: Path, data: bytes) -> None:
     flush_folder(path.parent)
 
 
+def read(path: Path, *, at_most: int = 1 << 28) -> bytes:
+    """The content of a plain file of ``at_most`` so many bytes.
+
+    Raises :class:`OSError`, at once, for anything else: a pipe would be waited for, a device never end.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    with open(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "this is no plain file", str(path))
+        if status.st_size > at_most:
+            raise OSError(errno.EFBIG, f"it is larger than {at_most:,} bytes, as no file of its kind is", str(path))
+        return file.read()
+
+
+def remove(path: Path) -> None:
+    """Delete whatever is there, if anything is: a file, a folder, a link (not what it points to)."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 def write_and_flush(path: Path, data: bytes) -> None:
-    """Write a file and have it on the disk when this returns."""
-    with open(path, "wb") as file:
+    """Write a new file and have it on the disk when this returns; what was there, a link even, is removed."""
+    path.unlink(missing_ok=True)
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666), "wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

@@ -21,15 +21,15 @@ class Logbook:
         self.columns = tuple(columns)
         header = _line(self.columns)
         if keep_rows:
-            with open(path, encoding="utf-8", newline="") as file:
-                lines = file.readlines()
+            lines = io.StringIO(files.read(path).decode(), newline="").readlines()
             kept = lines[: keep_rows + 1]
             if not lines or lines[0] != header or len(kept) < keep_rows + 1 or not kept[-1].endswith("\n"):
                 raise ValueError(f"{path} does not hold the {keep_rows} rows that the checkpoint counts; start anew")
             files.replace(path, "".join(kept).encode())
         else:
             files.replace(path, header.encode())
-        self._file = open(path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (held until close)
+        # files.replace has just made it, so it is no link. (Held open until close.)
+        self._file = open(path, "a", encoding="utf-8", newline="")  # noqa: SIM115
 
     def add(self, row: Mapping[str, object]) -> None:
         """Append one row; a missing column stays empty, an undeclared one raises :class:`ValueError`."""

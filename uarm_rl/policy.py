@@ -91,9 +91,7 @@ class ActorPolicy:
         from safetensors import SafetensorError
         from safetensors.numpy import load
 
-        if path.stat().st_size > _MAX_BYTES:
-            raise PolicyFileError(f"{path} is no policy of uarm-rl: it is larger than 64 MiB")
-        data = path.read_bytes()
+        data = files.read(path, at_most=_MAX_BYTES)
         try:
             tensors = load(data)
             header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]

@@ -6,6 +6,7 @@ A position is the centre of the object's upper surface (m) for an object that re
 from __future__ import annotations
 
 import csv
+import io
 import math
 from importlib import resources
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from uarm_rl import kinematics
+from uarm_rl import files, kinematics
 from uarm_rl.kinematics import Vector
 
 COLUMNS: Final = ("x_m", "y_m", "z_m")
@@ -72,12 +73,15 @@ def load(path: Path) -> Vector:
     Raises :class:`ValueError` with a sentence that names file and row when a column is missing, a value is not a
     finite number, or the cup cannot reach a position.
     """
-    with open(path, newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
+    try:
+        reader = csv.DictReader(io.StringIO(files.read(path).decode(), newline=""))
         missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-        if missing:
-            raise ValueError(f"{path} lacks the column {missing[0]}; a positions file has the columns {','.join(COLUMNS)}")
-        positions = [_position(path, line, row) for line, row in enumerate(reader, start=2)]
+        rows = list(reader)
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} cannot be read ({error}); a positions file has the columns {','.join(COLUMNS)}") from error
+    if missing:
+        raise ValueError(f"{path} lacks the column {missing[0]}; a positions file has the columns {','.join(COLUMNS)}")
+    positions = [_position(path, line, row) for line, row in enumerate(rows, start=2)]
     if not positions:
         raise ValueError(f"{path} holds no positions; it needs at least one row below the header")
     return np.array(positions)

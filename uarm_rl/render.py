@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uarm_rl import files
 from uarm_rl.env import UArmSuctionEnv
 from uarm_rl.policy import Policy
 from uarm_rl.rollout import run_episode
@@ -39,12 +42,18 @@ def write_film(path: Path, pictures: Sequence[Picture], *, frames_per_second: in
         palette = Image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 8)])).quantize(128)
         frames = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
         duration_ms = round(1000 / frames_per_second)
-        frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration_ms, loop=0, optimize=True)
+        film = io.BytesIO()
+        options = {"save_all": True, "append_images": frames[1:], "duration": duration_ms, "loop": 0, "optimize": True}
+        frames[0].save(film, "GIF", **options)
+        files.replace(path, film.getvalue())
     elif path.suffix == ".mp4":
         try:
             import imageio.v3 as imageio
         except ImportError:
             raise ValueError("an .mp4 needs the extra: pip install 'uarm-rl[video]'; or choose out=FILE.gif") from None
-        imageio.imwrite(path, np.stack(pictures), fps=frames_per_second, codec="libx264")
+        with tempfile.TemporaryDirectory() as folder:
+            film_path = Path(folder) / path.name
+            imageio.imwrite(film_path, np.stack(pictures), fps=frames_per_second, codec="libx264")
+            files.replace(path, film_path.read_bytes())
     else:
         raise ValueError(f"out must end in .gif or .mp4, got {path}")

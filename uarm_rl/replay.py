@@ -29,7 +29,7 @@ class ReplayBuffer:
     """
 
     def __init__(self, capacity: int, *, observation_size: int, action_size: int, generator: np.random.Generator) -> None:
-        checks.integer("buffer.capacity", capacity, low=1)
+        checks.integer("buffer.capacity", capacity, low=1, high=10_000_000)
         ends = np.cumsum([observation_size, action_size, 1, observation_size, 1]).tolist()
         self._fields = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
         self.rows = np.zeros((capacity, ends[-1]), np.float32)

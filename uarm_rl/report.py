@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -14,6 +15,9 @@ import numpy as np
 import pandas as pd
 
 from uarm_rl import figures, files, statistics
+
+#: Hidden folders, and names that a spreadsheet would take for formulas.
+_HIDDEN: Final = (".", "=", "+", "-", "@")
 
 
 class ReportError(ValueError):
@@ -79,7 +83,7 @@ class _Kind(NamedTuple):
 
 
 _FINITE: Final = _Kind(math.isfinite, "a finite number")
-_WHOLE: Final = _Kind(float.is_integer, "a whole number")
+_WHOLE: Final = _Kind(lambda value: value.is_integer() and abs(value) < 2**53, "a whole number")
 _OUTCOME: Final = _Kind(lambda value: value in (0.0, 1.0), "0 or 1")
 _RATE: Final = _Kind(lambda value: 0.0 <= value <= 1.0, "a number from 0 to 1")
 _RATE_OR_EMPTY: Final = _Kind(lambda value: math.isnan(value) or 0.0 <= value <= 1.0, "empty or a number from 0 to 1")
@@ -137,7 +141,7 @@ def _find_runs(results_dir: Path) -> dict[str, list[Path]]:
     runs: dict[str, list[Path]] = {}
     for folder in sorted(results_dir.glob("*/seed*")):
         is_run = (folder / "progress.csv").exists() or (folder / "evaluation.csv").exists()
-        if is_run and re.fullmatch(r"seed\d+", folder.name) and not folder.parent.name.startswith("."):
+        if is_run and re.fullmatch(r"seed\d+", folder.name) and not folder.parent.name.startswith(_HIDDEN):
             runs.setdefault(folder.parent.name, []).append(folder)
     if not runs:
         raise ReportError(f"{results_dir} holds no run; make one with `uarm-rl train`, then `uarm-rl evaluate`")
@@ -172,8 +176,8 @@ def _read(path: Path, columns: Mapping[str, _Kind | None]) -> dict[str, list[Any
     """The named columns of a CSV file: numbers of their kind, or text where the kind is ``None``."""
     remedy = _REMEDIES[path.name]
     try:
-        with open(path, encoding="utf-8", newline="") as file:
-            header, *rows = [*csv.reader(file, strict=True)] or [[]]
+        text = io.StringIO(files.read(path).decode(), newline="")
+        header, *rows = [*csv.reader(text, strict=True)] or [[]]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ReportError(f"{path} cannot be read ({error}); {remedy}") from error
     if missing := [column for column in columns if column not in header]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import math
-import shutil
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 import torch
@@ -36,6 +36,8 @@ from uarm_rl.train import COLUMNS, Counters, stop_on_signals, train
 POLICY: Final = "policy.safetensors"
 CONFIG: Final = "config.yaml"
 PROGRESS: Final = "progress.csv"
+
+_LARGEST: Final = {"batch_size": 100_000}
 
 #: An actor with more of its outputs saturated than this has hardly any gradient left to learn from.
 SATURATION_LIMIT: Final = 0.9
@@ -58,7 +60,7 @@ def claim(run_dir: Path, config_text: str, *, resume: bool, overwrite: bool) -> 
     configuration, or one that another process is training.
     """
     run_dir.mkdir(parents=True, exist_ok=True)
-    with open(run_dir / ".lock", "w", encoding="utf-8") as lock:
+    with _open_lock(run_dir / ".lock") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -66,20 +68,27 @@ def claim(run_dir: Path, config_text: str, *, resume: bool, overwrite: bool) -> 
         others = [path for path in run_dir.iterdir() if path.name != ".lock"]
         if others and overwrite:
             for path in others:
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
+                files.remove(path)
         elif others and not resume:
             state = "a finished" if is_finished(run_dir) else "an unfinished"
             raise RunFolderError(
                 f"{run_dir} already holds {state} run; resume=true continues or keeps it, overwrite=true deletes it, "
                 "name=NAME or seed=N makes another"
             )
-        elif others and (run_dir / CONFIG).exists() and (run_dir / CONFIG).read_text(encoding="utf-8") != config_text:
+        elif others and (run_dir / CONFIG).exists() and files.read(run_dir / CONFIG) != config_text.encode():
             raise RunFolderError(
                 f"{run_dir} was begun with another configuration (compare its {CONFIG}); resume it with the same one, "
                 "or choose another name"
             )
         files.replace(run_dir / CONFIG, config_text.encode())
         yield
+
+
+def _open_lock(path: Path) -> IO[bytes]:
+    """The file that is locked; it stays empty, and a link or a pipe in its place is refused."""
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise RunFolderError(f"{path} is no plain file; remove it, or choose another name")
+    return open(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666), "rb")
 
 
 @dataclass(frozen=True)
@@ -96,7 +105,7 @@ class Schedule:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            checks.integer(name, value, low=0 if name == "warmup_experiences" else 1)
+            checks.integer(name, value, low=0 if name == "warmup_experiences" else 1, high=_LARGEST.get(name))
         checks.integer("max_decisions_per_episode", self.max_decisions_per_episode, low=self.experiences_per_episode)
 
 
@@ -264,8 +273,20 @@ def _restore(
     noise: Noise,
     counters: Counters,
 ) -> None:
-    _, arrays, state = saved
+    episode, arrays, state = saved
     try:
+        values = checks.mapping("counters", state["counters"])
+        if values.keys() != asdict(counters).keys():
+            raise ValueError(f"it counts {', '.join(values)}")
+        for name, value in values.items():
+            checks.number(name, value, low=0.0) if name == "wall_s" else checks.integer(name, value, low=0, high=2**62)
+        added, rows = checks.integer("replay.added", state["replay"]["added"], low=0, high=2**62), arrays["replay/rows"]
+        expected = (min(added, replay.capacity), replay.rows.shape[1])
+        if values["episode"] != episode or rows.shape != expected or rows.dtype != np.float32:
+            raise ValueError(f"it holds episode {values['episode']} and rows of shape {rows.shape}, not {expected}")
+        noise_state = np.array(state["noise"]["state"], np.float64)
+        if noise_state.shape != noise.state.shape or not np.isfinite(noise_state).all():
+            raise ValueError("the state of its noise is none")
         agent.load_tensors(
             {
                 name.removeprefix("agent/"): torch.from_numpy(array)
@@ -273,17 +294,18 @@ def _restore(
                 if name.startswith("agent/")
             }
         )
-        rows = arrays["replay/rows"]
-        replay.rows[: len(rows)] = rows
-        replay.added = state["replay"]["added"]
+        if any(state[part]["generator"]["has_uint32"] not in (0, 1) for part in ("replay", "noise", "env")):
+            raise ValueError("the state of a generator is none")  # numpy would take it
         replay.generator.bit_generator.state = state["replay"]["generator"]
-        noise.state = np.array(state["noise"]["state"])
         noise.generator.bit_generator.state = state["noise"]["generator"]
         env.set_generator_state(state["env"]["generator"])
-        for name, value in state["counters"].items():
-            setattr(counters, name, value)
-    except (KeyError, TypeError, ValueError) as error:
-        raise checkpoint.CheckpointError(f"the checkpoint does not fit this configuration ({error})") from error
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise checkpoint.CheckpointError(f"the checkpoint does not fit this configuration ({error!r:.200})") from error
+    replay.rows[: len(rows)] = rows
+    replay.added = added
+    noise.state = noise_state
+    for name, value in values.items():
+        setattr(counters, name, value)
 
 
 class _Bar:
@@ -331,6 +353,8 @@ def _tensorboard(run_dir: Path) -> Iterator[Callable[[dict[str, object]], None]]
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         raise RunFolderError("tensorboard=true needs the extra: pip install 'uarm-rl[tensorboard]'") from None
+    if (run_dir / "tensorboard").is_symlink():
+        raise RunFolderError(f"{run_dir / 'tensorboard'} is a link; remove it, or leave tensorboard=true out")
     with SummaryWriter(run_dir / "tensorboard") as writer:
 
         def write(row: dict[str, object]) -> None:

@@ -163,6 +163,11 @@ _MISSING: Final = {
 }
 
 
+def groups() -> list[str]:
+    """The configuration groups: the folders of ``conf/``."""
+    return [path.name for path in resources.files("uarm_rl.conf").iterdir() if path.is_dir()]
+
+
 def explain(error: Exception) -> tuple[str, int]:
     """A sentence and an exit code for an exception: 2 for a wrong command line, 1 for a command that failed."""
     sentence = " ".join(str(error).split()) or type(error).__name__
@@ -173,11 +178,21 @@ def explain(error: Exception) -> tuple[str, int]:
         return f"{error.filename}: {error.strerror}; check the path, its permissions and the free space", 1
     if isinstance(error, ModuleNotFoundError) and error.name in _MISSING:
         return f"{error.name} is not installed; {_MISSING[error.name]}", 1
+    if isinstance(error, MemoryError) or "can't allocate memory" in sentence:
+        return "there is not enough memory for this; look for a size in the configuration that is far too large", 1
+    if isinstance(error, RecursionError):
+        return "something is nested too deeply to be read; look for a list of lists of lists", 1
     if isinstance(error, UsageError) or type(error) is ValueError:
         return sentence, 2
     if isinstance(error, (ValueError, ArmError)) or module.startswith("uarm_rl"):
         return sentence, 1
     return f"{type(error).__name__}: {sentence}; this is a bug, UARM_RL_TRACEBACK=1 shows where", 1
+
+
+def printable(text: str) -> str:
+    """Text from a file or a command line as a terminal may show it: no control characters, not without end."""
+    shown = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+    return shown if len(shown) <= 1000 else f"{shown[:1000]}..."
 
 
 def _explain_override(sentence: str) -> str:
