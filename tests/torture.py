@@ -32,6 +32,7 @@ from unittest import mock
 
 import numpy as np
 
+from tests import hostile, hostile_arm
 from uarm_rl import checkpoint, cli, files, session
 from uarm_rl.logbook import write_rows
 from uarm_rl.policy import ActorPolicy, PolicyFileError
@@ -411,17 +412,31 @@ def table(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
         yield Row(f"damaged {name} files, every bit and length", done, taken, "exhaustive", words)
 
 
+def hostile_input() -> Iterator[Row]:
+    """Files, configurations, joint commands and answers of an arm that mean harm."""
+    yield from hostile.table()
+    tried, unsafe = hostile_arm.references(1_000_000)
+    with hostile_arm.blind(), hostile_arm.silence():
+        seen = hostile_arm.references(1000)[1]
+    control = f"{'' if seen else 'NOT CAUGHT: '}not looking where the cup goes: {seen} of 1000 seen"
+    yield Row("hostile joint commands, judged on the wire", tried, unsafe, bound(tried, unsafe), control)
+    tried, broken = hostile_arm.streams(10_000)
+    yield Row("arms that answer nonsense, or nothing", tried, broken, bound(tried, broken), "")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=300, help="runs that are killed, a third of them inside a save")
     parser.add_argument("--controls", type=int, default=16, help="runs of each broken variant")
+    parser.add_argument("--no-hostile", dest="hostile", action="store_false", help="without the hostile input")
     parser.add_argument("--seed", type=int, default=0, help="of the instants")
     parser.add_argument("--out", type=Path, help="CSV file for the table")
     arguments = parser.parse_args()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for row in table(arguments.trials, arguments.controls, arguments.seed, Path(folder)):
+        lines = table(arguments.trials, arguments.controls, arguments.seed, Path(folder))
+        for row in itertools.chain(lines, hostile_input() if arguments.hostile else ()):
             rows.append(row)
             print(f"{row.what:58} {row.trials:6} trials  {row.failures:3} failures  {row.bound:12} {row.control}", flush=True)
     if arguments.out:
