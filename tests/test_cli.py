@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 from pathlib import Path
 
@@ -222,6 +223,7 @@ def test_a_finished_run_is_refused_and_kept(trained):
 def test_a_failing_job_does_not_stop_the_others(tmp_path):
     done = uarm_rl("train", "-m", "experiment=C", "agent.gamma=2,0.9", "name=gamma-${agent.gamma}", *QUICK, cwd=tmp_path)
     assert done.returncode == 2
-    assert "failed: agent.gamma must be" in done.stderr
+    sentence = "agent.gamma must be a number from 0 to 1, got 2"
+    assert re.search(f"^failed: experiment=C agent.gamma=2 .*: {sentence}$", done.stderr, re.MULTILINE)
     assert (tmp_path / "results" / "gamma-0.9" / "seed0" / "policy.safetensors").exists()
     assert "Traceback" not in done.stderr

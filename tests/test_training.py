@@ -130,6 +130,14 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path, capsys):
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 
+def test_a_finished_run_does_not_pass_for_another(tmp_path):
+    run = train(tmp_path)
+    before = outcome(run)
+    with pytest.raises(RunFolderError, match="is finished, with another agent"):
+        train(tmp_path, "resume=true", "agent.tau=0.5")
+    assert outcome(run) == before
+
+
 def test_a_finished_run_is_not_overwritten_unasked(tmp_path):
     run = train(tmp_path)
     before = outcome(run)

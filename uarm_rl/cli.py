@@ -203,7 +203,17 @@ def train(settings: Settings) -> None:
     for name in ("resume", "overwrite", "simulate_beside", "tensorboard"):
         checks.boolean(name, settings[name])
     run_dir = _run_folder(settings)
+    transient = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
+    kept = {key: value for key, value in settings.items() if key not in transient}
+    kept["sim"] = checks.mapping("sim", settings["sim"]) | {"gui": False}
     if settings["resume"] and session.is_finished(run_dir):
+        before = read_run(run_dir)
+        changed = [key for key in kept if key in before and before[key] != kept[key]]
+        if changed:
+            raise session.RunFolderError(
+                f"{run_dir} is finished, with another {changed[0]}; name=NAME or seed=N makes another run, overwrite=true "
+                "deletes this one"
+            )
         print(f"{run_dir} is finished; nothing to do")
         return
     schedule = session.Schedule(**{name: settings[name] for name in session.Schedule.__dataclass_fields__})
@@ -226,9 +236,7 @@ def train(settings: Settings) -> None:
     policy = agent.policy(_policy_metadata(settings))
     validation_positions = positions.load_packaged("validation_positions.csv")
 
-    transient = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
-    kept = {key: value for key, value in settings.items() if key not in transient}
-    config = yaml.safe_dump(kept | {"sim": settings["sim"] | {"gui": False}}, sort_keys=False)
+    config = yaml.safe_dump(kept, sort_keys=False)
     with session.claim(run_dir, config, resume=settings["resume"], overwrite=settings["overwrite"]):
         spare = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=torch.Generator())
         seconds = session.estimate_s(schedule, spare, validation_env, beside=settings["simulate_beside"])
@@ -724,12 +732,14 @@ def _run_many(command: str, overrides: list[str]) -> None:
     A job that fails is named at once and does not keep the others from running; the first failure is raised at the end.
     """
     import hydra
+    from hydra.core.hydra_config import HydraConfig
 
     def task(cfg: DictConfig) -> None:
         try:
             _task(command)(_plain(cfg))
         except Exception as error:
-            print(f"failed: {explain(error)[0]}", file=sys.stderr)
+            job = " ".join(HydraConfig.get().overrides.task)
+            print(f"failed: {job}: {printable(explain(error)[0])}", file=sys.stderr)
             raise
 
     results_dir = next((word.partition("=")[2] for word in reversed(overrides) if word.startswith("results_dir=")), "results")
