@@ -36,7 +36,7 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
 import uarm_rl.env
 from uarm_rl import cli, observation, positions
-from uarm_rl.evaluate import evaluate
+from uarm_rl.evaluate import evaluate, measure
 from uarm_rl.pipeline import InlineEnv, SubprocessEnv
 from uarm_rl.policy import InverseKinematicsPolicy
 from uarm_rl.replay import ReplayBuffer
@@ -309,7 +309,8 @@ def bench_evaluation(rounds: int) -> Iterator[Row]:
 
     def run(workers: int) -> None:
         make = partial(cli.build_env, settings, time_limit_s=settings["time_limit_s"])
-        rows = list(evaluate(make, Restless(), where, reward, control_hz=20, workers=workers))
+        episodes = evaluate(make, Restless(), where, workers=workers)
+        rows = [measure(number, episode, reward, control_hz=20) for number, episode in enumerate(episodes)]
         assert len(rows) == 100
 
     rates = alternate(max(1, rounds // 3), two_cores=(partial(run, 2), 100), one_core=(partial(run, 1), 100))

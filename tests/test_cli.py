@@ -67,6 +67,47 @@ def test_everything_evaluated_is_nothing_to_do(trained):
     assert (done.returncode, "evaluated already" in done.stdout) == (0, True)
 
 
+def test_an_evaluation_says_under_which_conditions_it_was_made(trained):
+    holds = {"uniform-plain": "fixed(1)", "adaptive-penalty": "until_steady(2..40)"}
+    sigmas = {"uniform-plain": "0", "adaptive-penalty": "-5"}
+    for name, hold in holds.items():
+        with open(trained / "results" / name / "seed0" / "evaluation.csv", newline="") as file:
+            for row in csv.DictReader(file):
+                assert (row["tolerance_m"], row["hold"], row["control_hz"]) == ("0.005", hold, "20")
+                assert (row["servo_rise_s"], row["sigma"]) == ("0.327", sigmas[name])
+
+
+def test_a_file_name_alone_is_that_file_in_the_folder_of_every_run(copied):
+    (copied / "three.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.25,-0.1,0.03\n0.2,0,0.03\n")
+    words = ("evaluate", "positions=three.csv", "out=three.csv", "hold=fixed", "tolerance_m=0.002", "traces=2")
+    done = uarm_rl(*words, cwd=copied)
+    assert (done.returncode, done.stdout.count("of 3 positions reached")) == (0, 2), done.stderr
+    made = sorted((copied / "results").rglob("three*"))
+    assert [path.name for path in made] == ["three-traces.csv", "three.csv"] * 2
+    for path in made:
+        with open(path, newline="") as file:
+            rows = list(csv.DictReader(file))
+        if path.name == "three.csv":
+            assert [(row["tolerance_m"], row["hold"]) for row in rows] == [("0.002", "fixed(11)")] * 3
+        else:
+            assert {row["position"] for row in rows} == {"0", "1"}
+            assert [row["time_s"] for row in rows if row["position"] == "1"][:3] == ["0", "0.05", "0.1"]
+    before = {path: path.read_bytes() for path in made}
+    (copied / "results" / "uniform-plain" / "seed0" / "three.csv").unlink()
+    done = uarm_rl(*words, cwd=copied)
+    assert done.stdout.count("of 3 positions reached") == 1
+    assert "evaluated already, three.csv is there" in done.stdout
+    assert "results/adaptive-penalty/seed0" in done.stdout.splitlines()[-1]
+    assert uarm_rl(*words, "overwrite=true", cwd=copied).stdout.count("of 3 positions reached") == 2
+    assert {path: path.read_bytes() for path in made} == before
+    assert not (copied / "results" / "ik").exists()
+    done = uarm_rl(*words[:3], "policy=ik", cwd=copied)
+    assert "3 of 3 positions reached; results/ik/seed0/three.csv" in done.stdout
+    assert_refused(uarm_rl("evaluate", "out=results/three.csv", cwd=copied), 2, "give run=DIR too", "out=NAME.csv")
+    assert_refused(uarm_rl("evaluate", "positions=heldout", cwd=copied), 2, "positions changes the test")
+    assert_refused(uarm_rl(*words, "overwrite=true", "traces=-1", cwd=copied), 2, "traces must be a whole number")
+
+
 def test_positions_of_ones_own(trained):
     (trained / "mine.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.25,-0.1,0.03\n")
     run = "run=results/uniform-plain/seed0"

@@ -8,32 +8,37 @@ import numpy as np
 import pytest
 
 from uarm_rl import cli, positions
-from uarm_rl.evaluate import COLUMNS, evaluate, shaking
+from uarm_rl.env import TRACE_COLUMNS
+from uarm_rl.evaluate import COLUMNS, CONDITIONS, MEASURED, TRACES, evaluate, measure, shaking, trace_rows
 from uarm_rl.policy import InverseKinematicsPolicy
+from uarm_rl.rollout import Episode
 
 SETTINGS = cli.compose("train", ("time_limit_s=4",))
 COMMON = cli.build("reward", cli.compose("train", ("reward=penalty",))["reward"])
 
 
-def rows(workers: int, count: int = 6, policy: object = None) -> list[dict[str, object]]:
-    make = partial(cli.build_env, SETTINGS, time_limit_s=4.0)
+def episodes(workers: int, count: int = 6, policy: object = None, time_limit_s: float = 4.0) -> list[Episode]:
+    make = partial(cli.build_env, SETTINGS, time_limit_s=time_limit_s)
     policy = policy or InverseKinematicsPolicy(0.15)
-    where = positions.load_packaged("validation_positions.csv")[:count]
-    return list(evaluate(make, policy, where, COMMON, control_hz=20, workers=workers))
+    return list(evaluate(make, policy, positions.load_named("validation")[:count], workers=workers))
+
+
+def rows(episodes: list[Episode]) -> list[dict[str, object]]:
+    return [measure(number, episode, COMMON, control_hz=20) for number, episode in enumerate(episodes)]
 
 
 def test_evaluations_are_identical_however_many_work_on_them():
-    assert rows(1) == rows(1) == rows(2)
+    one, again, two = episodes(1), episodes(1), episodes(2)
+    assert rows(one) == rows(again) == rows(two)
+    for first, second in zip(one, two, strict=True):
+        assert first.trace.tobytes() == second.trace.tobytes()
 
 
 def test_inverse_kinematics_reaches_every_validation_position():
-    settings = cli.compose("train")
-    make = partial(cli.build_env, settings, time_limit_s=10.0)
-    where = positions.load_packaged("validation_positions.csv")
-    result = list(evaluate(make, InverseKinematicsPolicy(0.15), where, COMMON, control_hz=20, workers=1))
+    result = rows(episodes(1, count=50, time_limit_s=10.0))
     assert sum(row["success"] for row in result) == 50
     for row in result:
-        assert set(row) == set(COLUMNS)
+        assert tuple(row) == MEASURED
         assert row["final_distance_m"] <= 0.005
         assert row["min_distance_m"] <= row["final_distance_m"]
         assert row["object_displacement_m"] < 0.005
@@ -46,7 +51,7 @@ class Still:
 
 
 def test_a_policy_that_does_nothing_fails_and_does_not_shake():
-    for row in rows(1, count=2, policy=Still()):
+    for row in rows(episodes(1, count=2, policy=Still())):
         assert not row["success"]
         assert row["time_s"] == 4.0
         assert row["tip_travel_last_s_m"] < 1e-5
@@ -71,3 +76,23 @@ def test_shaking_of_known_paths():
     assert result["tip_travel_last_s_m"] == pytest.approx(20 * 0.002)
     assert result["rms_jerk"] == pytest.approx(8 * 0.002 * 20**3 / 2, rel=0.01)  # 3rd difference of +-a/2 is 4a
     assert shaking(still[:2], control_hz=20)["rms_jerk"] == 0
+
+
+def test_a_file_says_under_which_conditions_it_was_made():
+    assert (*MEASURED, *CONDITIONS) == COLUMNS
+    assert CONDITIONS[:2] == ("tolerance_m", "hold")
+
+
+def test_traces_hold_every_control_step_in_micrometres():
+    (episode,) = episodes(1, count=1)
+    traced = list(trace_rows(7, episode, control_hz=20))
+    assert len(traced) == len(episode.trace)
+    assert tuple(traced[0]) == TRACES == ("position", "step", "time_s", *TRACE_COLUMNS)
+    assert [row["position"] for row in traced] == [7] * len(traced)
+    assert [row["step"] for row in traced] == list(range(len(traced)))
+    assert [row["time_s"] for row in traced[:3]] == [0.0, 0.05, 0.1]
+    values = np.array([[row[column] for column in TRACE_COLUMNS] for row in traced])
+    assert np.abs(values - episode.trace).max() <= 0.5000001e-6
+    x, y, z = positions.load_named("validation")[0]
+    assert (traced[0]["object_x_m"], traced[0]["object_y_m"], traced[0]["object_z_m"]) == (x, y, z)
+    assert (traced[0]["cup_x_m"], traced[0]["cup_y_m"], traced[0]["cup_z_m"]) == (0.2, 0.0, 0.15)

@@ -9,6 +9,7 @@ import pytest
 
 from uarm_rl import cli, kinematics
 from uarm_rl.sim.arm import SimArm
+from uarm_rl.sim.servo import rise_time_s
 
 STEP_RAD = 0.15
 HOME = kinematics.HOME_JOINTS_RAD
@@ -53,6 +54,27 @@ def test_every_joint_arrives_and_does_not_creep(servo):
 def test_speed_limit_holds():
     path = respond("second_order", "servo.speed_limit_rad_s=0.2", steps=10)
     assert np.abs(np.diff(path[:, 0])).max() * 20 <= 0.2 + 1e-6
+
+
+@pytest.mark.parametrize(("servo", "low", "high"), [("second_order", 0.3, 0.6), ("stepper", 0.2, 0.4), ("instant", 0.03, 0.05)])
+def test_the_rise_time_is_that_of_the_simulated_joint(servo, low, high):
+    rise_s = rise_time_s(cli.build("servo", cli.compose("train", (f"servo={servo}",))["servo"]))
+    assert low <= rise_s <= high
+    path = respond(servo)
+    assert rise_s == pytest.approx(crossing_s(path, 0.9) - crossing_s(path, 0.1), abs=0.02)
+
+
+def test_rise_time_scales_with_the_frequency_and_ends():
+    def rise_s(frequency: float) -> float:
+        return rise_time_s(
+            cli.build(
+                "servo", {**cli.compose("train")["servo"], "natural_frequency_rad_s": frequency, "speed_limit_rad_s": 100.0}
+            )
+        )
+
+    assert rise_s(2.5) == pytest.approx(2.0 * rise_s(5.0), abs=0.003) == pytest.approx(4.0 * rise_s(10.0), abs=0.006)
+    with pytest.raises(ValueError, match=r"more than a minute for 0\.15 rad"):
+        rise_s(0.001)
 
 
 def test_instant_arrives_within_one_control_step():

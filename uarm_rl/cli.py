@@ -359,28 +359,34 @@ def _load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
 def evaluate(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
     results_dir = _path(settings, "results_dir")
-    changed = [key for key in ("positions", "tolerance_m", "hold") if settings.get(key) is not None]
+    changed = ["positions"] if settings["positions"] != "test" else []
+    changed += [key for key in ("tolerance_m", "hold") if settings.get(key) is not None]
     if changed and not settings["out"]:
         raise UsageError(
             f"{changed[0]} changes the test, so give out=FILE for its result; evaluation.csv is for the standard test"
         )
-    if settings["policy"] == "ik":
-        # The baseline's own row: the task of a default training, in a folder beside the runs.
-        run_dir = _path(settings, "run") if settings["run"] else results_dir / "ik" / "seed0"
-        runs = [(run_dir, read_run(run_dir) if settings["run"] else compose("train"))]
-    elif settings["run"]:
-        runs = [(_path(settings, "run"), read_run(_path(settings, "run")))]
-    else:
-        if settings["out"]:
-            raise UsageError("out=FILE takes the result of one run, so give run=DIR too")
-        runs = [(folder, read_run(folder)) for folder in _runs_to_evaluate(results_dir, settings["overwrite"])]
-        if not runs:
-            print(f"every trained run in {results_dir} is evaluated already; overwrite=true evaluates them again")
-    for run_dir, run_settings in runs:
-        _evaluate_run(settings, run_dir, run_settings)
+    file = checks.text("out", settings["out"] or "evaluation.csv")
+    if settings["run"]:
+        run_dir = _path(settings, "run")
+        _evaluate_run(settings, run_dir, read_run(run_dir), Path(file) if settings["out"] else run_dir / file)
+        return
+    if Path(file).name != file:
+        raise UsageError(
+            f"out={file} takes the result of one run, so give run=DIR too; out=NAME.csv without a folder is that file in "
+            "the folder of every run"
+        )
+    # The baseline has no training: it does the task of a default one, in a folder beside the runs.
+    ik = settings["policy"] == "ik"
+    run_dirs = [results_dir / "ik" / "seed0"] if ik else _trained_runs(results_dir)
+    done = [run_dir for run_dir in run_dirs if (run_dir / file).exists() and not settings["overwrite"]]
+    for run_dir in run_dirs:
+        if run_dir not in done:
+            _evaluate_run(settings, run_dir, compose("train") if ik else read_run(run_dir), run_dir / file)
+    if done:
+        print(f"evaluated already, {file} is there (overwrite=true evaluates again): {', '.join(map(str, done))}")
 
 
-def _runs_to_evaluate(results_dir: Path, overwrite: bool) -> list[Path]:
+def _trained_runs(results_dir: Path) -> list[Path]:
     from uarm_rl.session import POLICY
 
     trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
@@ -388,42 +394,51 @@ def _runs_to_evaluate(results_dir: Path, overwrite: bool) -> list[Path]:
         raise UsageError(
             f"{results_dir} holds no trained run; make one with uarm-rl train, or name its folder: results_dir=DIR"
         )
-    return [folder for folder in trained if overwrite or not (folder / "evaluation.csv").exists()]
+    return trained
 
 
-def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings) -> None:
+def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out: Path) -> None:
     from tqdm import tqdm
 
     from uarm_rl import positions
-    from uarm_rl.evaluate import COLUMNS
+    from uarm_rl.evaluate import COLUMNS, TRACES, Row, measure, trace_rows
     from uarm_rl.evaluate import evaluate as evaluate_policy
     from uarm_rl.logbook import write_rows
+    from uarm_rl.sim.servo import rise_time_s
 
-    out = _path(settings, "out") if settings["out"] else run_dir / "evaluation.csv"
     if out.exists() and not settings["overwrite"]:
         raise UsageError(f"{out} exists already; overwrite=true replaces it, out=FILE writes elsewhere")
     if settings["tolerance_m"] is not None:
         run_settings = run_settings | {"tolerance_m": settings["tolerance_m"]}
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
-    where = (
-        positions.load(_path(settings, "positions")) if settings["positions"] else positions.load_packaged("test_positions.csv")
-    )
+    where = positions.load_named(str(settings["positions"]))
     policy = _load_policy(run_dir, settings["policy"], run_settings)
     make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
     make().close()  # a bad value shows here, as a sentence, and not in a worker
     cores = len(os.sched_getaffinity(0))
     workers = cores if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
-    episodes = evaluate_policy(
-        make,
-        policy,
-        where,
-        build("reward", settings["common_reward"]),
-        control_hz=run_settings["control_hz"],
-        workers=min(workers, len(where)),
-    )
-    rows = list(tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True))
+    traced = checks.integer("traces", settings["traces"], low=0)
+    common_reward = build("reward", settings["common_reward"])
+    control_hz = run_settings["control_hz"]
+    conditions = {
+        "tolerance_m": run_settings["tolerance_m"],
+        "hold": str(build("hold", run_settings["buffer"]["hold"])),
+        "control_hz": control_hz,
+        "servo_rise_s": rise_time_s(build("servo", run_settings["servo"])),
+        "sigma": run_settings["reward"]["sigma"],
+    }
+    rows: list[Row] = []
+    traces: list[Row] = []
+    episodes = evaluate_policy(make, policy, where, workers=min(workers, len(where)))
+    bar = tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True)
+    for number, episode in enumerate(bar):
+        rows.append(measure(number, episode, common_reward, control_hz=control_hz) | conditions)
+        if number < traced:
+            traces += trace_rows(number, episode, control_hz=control_hz)
     out.parent.mkdir(parents=True, exist_ok=True)
+    if traced:  # first, so that a result that is there has its traces
+        write_rows(out.with_name(f"{out.stem}-traces.csv"), TRACES, traces)
     write_rows(out, COLUMNS, rows)
     successes = sum(bool(row["success"]) for row in rows)
     print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")

@@ -11,15 +11,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl.env import UArmSuctionEnv
+from uarm_rl.env import TRACE_COLUMNS, UArmSuctionEnv
 from uarm_rl.kinematics import Vector
 from uarm_rl.policy import Policy
 from uarm_rl.reward import DistanceReward
 from uarm_rl.rollout import Episode, run_episode
 
-Row = dict[str, float | int | bool]
+Row = dict[str, float | int | bool | str]
 
-COLUMNS: Final = (
+#: What ``measure`` finds in an episode.
+MEASURED: Final = (
     "position",
     "success",
     "return",
@@ -33,6 +34,14 @@ COLUMNS: Final = (
     "tip_travel_last_s_m",
     "decisions",
 )
+#: Under which conditions a file was made, the same in all of its rows: how near the cup had to come, the hold tested with,
+#: control steps per second, the servo's rise time (10 to 90 % of 0.15 rad), sigma of the method's own reward (1/m).
+CONDITIONS: Final = ("tolerance_m", "hold", "control_hz", "servo_rise_s", "sigma")
+COLUMNS: Final = (*MEASURED, *CONDITIONS)
+
+#: Columns of a file of traces: one row a control step, the start included.
+TRACES: Final = ("position", "step", "time_s", *TRACE_COLUMNS)
+_TRACE_DECIMALS: Final = 6  # micrometres, microradians
 
 #: Movements shorter than this in one control step have no direction worth counting as reversed.
 _REVERSAL_M: Final = 1e-4
@@ -42,29 +51,26 @@ def evaluate(
     make_env: Callable[[], UArmSuctionEnv],
     policy: Policy,
     positions_m: Vector,
-    common_reward: DistanceReward,
     *,
-    control_hz: int,
     workers: int,
-) -> Iterator[Row]:
-    """Rows with the keys ``COLUMNS``, in the order of ``positions_m`` (shape (n, 3)).
+) -> Iterator[Episode]:
+    """One episode for each of ``positions_m`` (shape (n, 3)), in their order.
 
-    ``make_env`` must be picklable if ``workers`` > 1. Every episode begins in a world built anew, so the rows do not
-    depend on the number of workers.
+    ``make_env`` must be picklable if ``workers`` > 1. Every episode begins in a world built anew, so it does not depend
+    on the number of workers.
     """
     if workers == 1:
         env = make_env()
         try:
-            for number, position in enumerate(positions_m):
-                yield measure(number, _episode(env, policy, position), common_reward, control_hz=control_hz)
+            for position in positions_m:
+                yield _episode(env, policy, position)
         finally:
             env.close()
         return
     # A fork starts at once where a new interpreter takes a second; each worker makes a PyBullet world of its own.
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(workers, context, _begin, (make_env, policy)) as pool:
-        for number, episode in enumerate(pool.map(_work, positions_m)):
-            yield measure(number, episode, common_reward, control_hz=control_hz)
+        yield from pool.map(_work, positions_m)
 
 
 _worker: tuple[UArmSuctionEnv, Policy]
@@ -89,7 +95,10 @@ def successes(env: UArmSuctionEnv, policy: Policy, positions_m: Sequence[Vector]
 
 
 def measure(position: int, episode: Episode, common_reward: DistanceReward, *, control_hz: int) -> Row:
-    """The row of one episode. ``common_return`` sums one reward, the same for all methods, over control steps."""
+    """What one episode shows, with the keys ``MEASURED``.
+
+    ``common_return`` sums one reward, the same for all methods, over control steps.
+    """
     cup, target = episode.trace[:, 3:6], episode.trace[:, 6:9]
     distance = np.linalg.norm(cup - target, axis=1)
     states = list(zip(cup.tolist(), target.tolist(), strict=True))
@@ -105,6 +114,12 @@ def measure(position: int, episode: Episode, common_reward: DistanceReward, *, c
         **shaking(cup, control_hz=control_hz),
         "decisions": episode.decisions,
     }
+
+
+def trace_rows(position: int, episode: Episode, *, control_hz: int) -> Iterator[Row]:
+    """The episode control step by control step, with the keys ``TRACES``."""
+    for step, state in enumerate(np.round(episode.trace, _TRACE_DECIMALS).tolist()):
+        yield {"position": position, "step": step, "time_s": step / control_hz, **dict(zip(TRACE_COLUMNS, state, strict=True))}
 
 
 def shaking(tip_m: NDArray[np.float64], *, control_hz: int) -> dict[str, float]:

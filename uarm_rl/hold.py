@@ -37,6 +37,9 @@ class FixedHold:
     def releases(self, control_steps: int, travel_rad: float) -> bool:
         return control_steps >= self.control_steps
 
+    def __str__(self) -> str:
+        return f"fixed({self.control_steps})"
+
 
 @dataclass(frozen=True)
 class UntilSteady:
@@ -59,3 +62,6 @@ class UntilSteady:
         if control_steps < self.min_control_steps:
             return False
         return travel_rad < self.steady_threshold_rad or control_steps >= self.max_control_steps
+
+    def __str__(self) -> str:
+        return f"until_steady({self.min_control_steps}..{self.max_control_steps})"

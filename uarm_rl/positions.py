@@ -67,6 +67,12 @@ def load_packaged(name: str) -> Vector:
         return load(path)
 
 
+def load_named(name: str) -> Vector:
+    """The packaged ``test``, ``validation`` or ``heldout`` positions, or those of the file ``name``; shape (n, 3)."""
+    packaged = f"{name}_positions.csv"
+    return load_packaged(packaged) if packaged in FILES else load(Path(name))
+
+
 def load(path: Path) -> Vector:
     """Positions of a CSV file with the columns x_m, y_m, z_m; shape (n, 3).
 

@@ -32,6 +32,26 @@ class Servo(Protocol):
         ...
 
 
+def rise_time_s(servo: Servo, *, step_rad: float = 0.15, dt: float = 0.001) -> float:
+    """How long a commanded step of joint1 takes from 10 % to 90 %, for joints that follow the servo exactly.
+
+    Raises :class:`ValueError` if that is more than a minute.
+    """
+    joints: JointPositions = (0.0, 0.0, 0.0)
+    velocity = joints
+    servo.reset(joints)
+    servo.command((step_rad, 0.0, 0.0), joints)
+    begun = 0
+    for step in range(round(60.0 / dt)):
+        velocity = servo.velocity(joints, velocity, dt)
+        joints = joints[0] + velocity[0] * dt, 0.0, 0.0
+        if joints[0] < 0.1 * step_rad:
+            begun = step + 1
+        elif joints[0] >= 0.9 * step_rad:
+            return (step - begun) * dt
+    raise ValueError(f"the servo takes more than a minute for {step_rad:g} rad; choose a faster one")
+
+
 class SecondOrder:
     """A position controller that answers like a damped oscillator: PID joints, as in the paper's Gazebo model.
 
