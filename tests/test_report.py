@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from uarm_rl.report import ReportError, report
+from uarm_rl.records import ReportError
+from uarm_rl.report import report
 from uarm_rl.statistics import wilson_interval
 
 EVALUATION = (
@@ -20,6 +21,12 @@ PROGRESS = (
     "validation_success_rate,wall_s,decisions"
 )
 WRITTEN = {
+    "comparisons.csv",
+    "comparisons.md",
+    "budgets.csv",
+    "budgets.png",
+    "steps_to_95.csv",
+    "steps_to_95.md",
     "table1.csv",
     "table1.md",
     "reward_curve.csv",

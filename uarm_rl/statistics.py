@@ -81,7 +81,7 @@ def bootstrap_interval(
     return low, high
 
 
-def success_interval(successes: ArrayLike, generator: np.random.Generator) -> Interval:
+def success_interval(successes: ArrayLike, generator: np.random.Generator, *, resamples: int = 10_000) -> Interval:
     """The 95 % interval of one method's success rate; ``successes`` are 0 or 1, shape (seeds, positions).
 
     One seed: Wilson, for this policy. Several: bootstrap, for the method. Where all outcomes are equal a bootstrap
@@ -91,12 +91,14 @@ def success_interval(successes: ArrayLike, generator: np.random.Generator) -> In
     outcomes = _successes("successes", successes, 2)
     if len(outcomes) == 1 or np.all(outcomes == outcomes[0, 0]):
         return wilson_interval(int(outcomes[0].sum()), outcomes.shape[1])
-    return bootstrap_interval([outcomes], [1.0], generator)
+    return bootstrap_interval([outcomes], [1.0], generator, resamples=resamples)
 
 
 def _draws(size: int, resamples: int, generator: np.random.Generator) -> NDArray[np.float64]:
     """How often each of ``size`` things is drawn in ``size`` draws with replacement, shape (resamples, size)."""
-    return generator.multinomial(size, np.full(size, 1.0 / size), size=resamples).astype(np.float64)
+    # Ten times as fast as ``generator.multinomial`` for equal chances.
+    cells = generator.integers(size, size=(resamples, size)) + size * np.arange(resamples)[:, np.newaxis]
+    return np.bincount(cells.ravel(), minlength=resamples * size).reshape(resamples, size).astype(np.float64)
 
 
 def _confidence(value: float) -> float:

@@ -11,7 +11,7 @@ from uarm_rl.arm import ArmError
 COMMANDS: Final = {
     "train": "train one policy, or many with -m",
     "evaluate": "test trained policies on the 100 fixed positions",
-    "report": "rebuild Table 1 and the figures from the CSV files in results/",
+    "report": "rebuild all tables and figures from the CSV files in results/",
     "render": "film a policy as GIF or MP4",
     "run-real": "trials of a policy on the real arm",
     "jog": "move one joint of the real arm by a few degrees",
@@ -31,9 +31,10 @@ EXAMPLES: Final = {
         "uarm-rl evaluate                                    every trained run that has no evaluation yet",
         "uarm-rl evaluate policy=ik                          the inverse-kinematics controller, as a reference",
         "uarm-rl evaluate run=results/adaptive-penalty/seed0 tolerance_m=0.002 out=strict.csv",
+        "uarm-rl evaluate positions=heldout out=heldout.csv  that file in the folder of every trained run",
     ),
     "report": (
-        "uarm-rl report                                      table1.md, table1.csv and the pictures in results/",
+        "uarm-rl report                                      tables and pictures in results/ and results/ablations/",
         "uarm-rl report results_dir=demo                     the same for another folder of runs",
         "uarm-rl evaluate && uarm-rl report                  test what is new, then report",
     ),

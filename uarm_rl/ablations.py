@@ -1,0 +1,152 @@
+"""Why it works: the shorter runs of results/ablations, one figure and one table for each question."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import pandas as pd
+
+from uarm_rl import figures, statistics, tables
+from uarm_rl.records import PROGRESS, Runs, find_runs, read_evaluations, read_seeds
+from uarm_rl.tables import Section
+
+ABLATIONS: Final = "ablations"  # below the results folder
+
+
+class _Question(NamedTuple):
+    """``runs`` are names or patterns of names, in the order of the table; ``train`` are the options that train them.
+
+    ``swept`` is the column that a sweep varies; its table and figure go by it.
+    """
+
+    title: str
+    runs: tuple[str, ...]
+    train: str
+    swept: str | None = None
+
+
+_QUESTIONS: Final = {
+    "halves": _Question(
+        "Waiting until steady, or leaving out stuck transitions: which half of the adaptive buffer does it?",
+        ("uniform-penalty", "unstuck_only-penalty", "steady_only-penalty", "adaptive-penalty"),
+        "experiment=C,D,steady_only,unstuck_only episodes=300",
+    ),
+    "fixed_hold": _Question(
+        "Is it the adaptivity, or just a longer hold?",
+        ("uniform-penalty", "fixed_hold-penalty", "adaptive-penalty"),
+        "experiment=C,D,fixed_hold episodes=300",
+    ),
+    "servo": _Question(
+        "From which response time of the servo on does waiting win?",
+        ("instant-*-penalty", "servo*-penalty", "uniform-penalty", "adaptive-penalty"),
+        "experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,20",
+        "servo_rise_s",
+    ),
+    "sigma": _Question(
+        "How hard must moving the object be punished, and what does it cost?",
+        ("adaptive-plain", "sigma*", "adaptive-penalty"),
+        "experiment=sigma reward.sigma=-1,-20",
+        "sigma",
+    ),
+}
+
+_HEADINGS: Final = {
+    "servo_rise_s": "Servo rise (s)",
+    "sigma": "Sigma (1/m)",
+    "control_steps_per_decision": "Control steps a decision",
+    "object_displacement_m": "Object moved (mm)",
+}
+_DISPLACEMENT: Final = "object_displacement_m"
+
+
+def ablations(results_dir: Path) -> Section:
+    """ablations.csv and .md, and halves, fixed_hold, servo and sigma.png, all in ``results_dir/ablations``."""
+    folder = results_dir / ABLATIONS
+    if not folder.is_dir():
+        return Section(remarks=["no ablations; `make ablations` trains and evaluates them"])
+    runs = find_runs(folder)
+    evaluations = read_evaluations(runs)
+    progress = {name: read_seeds(folders, "progress.csv", PROGRESS) for name, folders in runs.items()}
+    section = Section()
+    found: dict[str, pd.DataFrame] = {}
+    for name, question in _QUESTIONS.items():
+        chosen = [run for wanted in question.runs for run in runs if fnmatch(run, wanted) and len(evaluations[run])]
+        section.remarks += _missing(name, question, chosen, runs)
+        if chosen:
+            rows = [_row(run, evaluations[run], progress[run]) for run in chosen]
+            found[name] = _ordered(pd.DataFrame(rows), question.swept)
+            section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question.swept, found[name], progress)
+    if found:
+        stacked = pd.concat([table.assign(question=name) for name, table in found.items()])
+        section.contents[f"{ABLATIONS}/ablations.csv"] = tables.csv(stacked[["question", *stacked.columns.drop("question")]])
+        section.contents[f"{ABLATIONS}/ablations.md"] = _markdown(found).encode()
+    return section
+
+
+def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str, Any]:
+    """What is known of one name's runs: success, what the object suffered, and under which conditions."""
+    moved = tables.outcomes(evaluation, _DISPLACEMENT)
+    low, high = statistics.bootstrap_interval([moved], [1.0], tables.generator(), resamples=tables.resamples(evaluation))
+    last = progress.groupby("seed").last()
+    return {
+        "run": run,
+        "buffer": "uniform" if "uniform" in run else "adaptive" if "adaptive" in run else run.partition("-")[0],
+        **tables.success(evaluation),
+        _DISPLACEMENT: moved.mean(),
+        "object_displacement_low": low,
+        "object_displacement_high": high,
+        "control_steps_per_decision": (last["control_steps"] / last["decisions"]).mean(),
+        "servo_rise_s": evaluation["servo_rise_s"].mean(),
+        "sigma": evaluation["sigma"].mean(),
+    }
+
+
+def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
+    """Sweeps from instant to slow and from no punishment to much, the others in the order of the question."""
+    return table if swept is None else table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
+
+
+def _picture(swept: str | None, table: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> bytes:
+    if swept == "servo_rise_s":
+        return figures.picture(lambda figure: figures.draw_servo_sweep(figure, table), 2.6)
+    if swept == "sigma":
+        return figures.picture(lambda figure: figures.draw_sigma_sweep(figure, table))
+    rate = "validation_success_rate"
+    curves = {run: tables.over_seeds(progress[run].dropna(subset=[rate]), "experiences", [rate]) for run in table["run"]}
+    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, rate))
+
+
+def _missing(name: str, question: _Question, chosen: Sequence[str], runs: Runs) -> list[str]:
+    """A remark on the runs of a question that are not there or not evaluated, and the command for them."""
+    absent = [wanted for wanted in question.runs if not any(fnmatch(run, wanted) for run in chosen)]
+    if not absent:
+        return []
+    if all(any(fnmatch(run, wanted) for run in runs) for wanted in absent):
+        command = f"uarm-rl evaluate results_dir=results/{ABLATIONS}"
+    else:
+        command = f"uarm-rl train -m {question.train} seed=0,1,2 results_dir=results/{ABLATIONS}"
+    return [f"ablation {name}, missing: {', '.join(absent)}; `{command}`, or all of them with `make ablations`"]
+
+
+def _markdown(found: Mapping[str, pd.DataFrame]) -> str:
+    text = []
+    for name, table in found.items():
+        swept = _QUESTIONS[name].swept
+        further = [*([swept] if swept else []), "control_steps_per_decision", _DISPLACEMENT]
+        cells = [
+            [row["run"], str(row["seeds"]), tables.success_text(row), *(_cell(column, row[column]) for column in further)]
+            for row in tables.records(table)
+        ]
+        headings = ("Run", "Seeds", "Success (95 % interval)", *(_HEADINGS[column] for column in further))
+        text.append(f"## {_QUESTIONS[name].title}\n\n{tables.markdown(headings, cells)}\n![{name}]({name}.png)\n")
+    return "\n".join(text)
+
+
+def _cell(column: str, value: float) -> str:
+    if math.isnan(value):
+        return "-"
+    return f"{1000.0 * value:.1f}" if column == _DISPLACEMENT else f"{value:.3g}"
