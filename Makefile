@@ -7,14 +7,50 @@ PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do \
 DEMO_EPISODES ?= 100
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test check bench torture clean
+.PHONY: demo paper ablations test check bench torture clean
 
 demo: $(VENV)/.installed  ## train method C for a short budget, test it on the 100 positions, write the report
 	$(BIN)/uarm-rl train experiment=C episodes=$(DEMO_EPISODES) results_dir=demo resume=true
 	$(BIN)/uarm-rl evaluate results_dir=demo
-	[ -f demo/ik/seed0/evaluation.csv ] || $(BIN)/uarm-rl evaluate policy=ik results_dir=demo
+	$(BIN)/uarm-rl evaluate policy=ik results_dir=demo
 	[ -f demo/adaptive-penalty/seed0/episode.gif ] || $(BIN)/uarm-rl render run=demo/adaptive-penalty/seed0
 	$(BIN)/uarm-rl report results_dir=demo
+
+# The paper's experiment and the ablations. Every line skips what is finished and continues what was interrupted, two runs
+# at a time. OVERRIDES="..." reaches every training: a whole rehearsal is a matter of minutes with small numbers.
+RESULTS ?= results
+SEEDS ?= 0,1,2
+METHODS ?= A,B,C,D,real_arm
+ABLATION_EPISODES ?= 300
+SIDE_BY_SIDE ?= hydra/launcher=joblib hydra.launcher.n_jobs=2 simulate_beside=false
+TRAIN = $(BIN)/uarm-rl train -m resume=true seed=$(SEEDS) $(SIDE_BY_SIDE)
+TRAIN_SHORT = $(TRAIN) results_dir=$(RESULTS)/ablations episodes=$(ABLATION_EPISODES)
+EVALUATE = $(BIN)/uarm-rl evaluate results_dir=$(RESULTS)
+
+paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the report; about 7 hours on two cores
+	$(TRAIN) results_dir=$(RESULTS) experiment=$(METHODS) $(OVERRIDES)
+	$(EVALUATE) traces=3
+	$(EVALUATE) tolerance_m=1e-3 out=tolerance-1mm.csv
+	$(EVALUATE) tolerance_m=2e-3 out=tolerance-2mm.csv
+	$(EVALUATE) tolerance_m=10e-3 out=tolerance-10mm.csv
+	$(EVALUATE) positions=heldout out=heldout.csv
+	$(EVALUATE) hold=one_step out=hold-one_step.csv
+	$(EVALUATE) hold=fixed out=hold-fixed.csv
+	$(EVALUATE) hold=until_steady out=hold-until_steady.csv
+	$(EVALUATE) policy=ik traces=3
+	$(EVALUATE) policy=ik tolerance_m=1e-3 out=tolerance-1mm.csv
+	$(EVALUATE) policy=ik tolerance_m=2e-3 out=tolerance-2mm.csv
+	$(EVALUATE) policy=ik tolerance_m=10e-3 out=tolerance-10mm.csv
+	$(EVALUATE) policy=ik positions=heldout out=heldout.csv
+	$(BIN)/uarm-rl report results_dir=$(RESULTS)
+
+ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 4 hours on two cores
+	$(TRAIN_SHORT) experiment=A,C,D,steady_only,unstuck_only,fixed_hold $(OVERRIDES)
+	$(TRAIN_SHORT) experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,20 $(OVERRIDES)
+	$(TRAIN_SHORT) experiment=instant buffer=adaptive,uniform $(OVERRIDES)
+	$(TRAIN_SHORT) experiment=sigma reward.sigma=-1,-20 $(OVERRIDES)
+	$(BIN)/uarm-rl evaluate results_dir=$(RESULTS)/ablations
+	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
 test: $(VENV)/.installed-test  ## the whole test suite
 	$(BIN)/python -m pytest -n 2
@@ -46,6 +82,10 @@ $(VENV)/.installed-test: $(VENV)/.installed
 
 $(VENV)/.installed-dev: $(VENV)/.installed-test
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.installed-launch: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[launch]'
 	@touch $@
 
 $(VENV)/.installed-bench: $(VENV)/.installed
