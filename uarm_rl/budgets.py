@@ -83,8 +83,8 @@ def _markdown(reached: pd.DataFrame) -> str:
     ]
     return (
         tables.markdown(("Method", "Seeds that reached it", *_AXES.values()), lines)
-        + f"\nUntil {_ENOUGH:.0%} of the validation positions were first reached: mean over the seeds that did, and their "
-        "range. A first time can be luck; the curve in budgets.png shows whether it stayed.\n"
+        + f"\nUntil {100 * _ENOUGH:g} % of the validation positions were first reached: mean over the seeds that did, and "
+        "their range. A first time can be luck; the curve in budgets.png shows whether it stayed.\n"
     )
 
 

@@ -49,6 +49,7 @@ def held_out(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Se
         for method in methods
         if len(held_out[method.folder])
         for name, evaluation in (("test", standard[method.folder]), ("held-out", held_out[method.folder]))
+        if len(evaluation)
     ]
     if rows:
         headings = ("Method", "Positions", "Seeds", "Success (95 % interval)", "Return (own reward)", "Return (same reward)")
