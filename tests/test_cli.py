@@ -105,6 +105,9 @@ def test_a_file_name_alone_is_that_file_in_the_folder_of_every_run(copied):
     assert "3 of 3 positions reached; results/ik/seed0/three.csv" in done.stdout
     assert_refused(uarm_rl("evaluate", "out=results/three.csv", cwd=copied), 2, "give run=DIR too", "out=NAME.csv")
     assert_refused(uarm_rl("evaluate", "positions=heldout", cwd=copied), 2, "positions changes the test")
+    assert_refused(uarm_rl("evaluate", "hold=fixed", "out=evaluation.csv", cwd=copied), 2, "hold changes the test")
+    for name in ("policy.safetensors", "progress.csv"):
+        assert_refused(uarm_rl("evaluate", f"out={name}", "overwrite=true", cwd=copied), 2, f"out={name} is no name")
     assert_refused(uarm_rl(*words, "overwrite=true", "traces=-1", cwd=copied), 2, "traces must be a whole number")
 
 

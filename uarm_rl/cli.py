@@ -361,11 +361,11 @@ def evaluate(settings: Settings) -> None:
     results_dir = _path(settings, "results_dir")
     changed = ["positions"] if settings["positions"] != "test" else []
     changed += [key for key in ("tolerance_m", "hold") if settings.get(key) is not None]
-    if changed and not settings["out"]:
+    file = checks.text("out", settings["out"] or "evaluation.csv")
+    if changed and (not settings["out"] or (file == "evaluation.csv" and not settings["run"])):
         raise UsageError(
             f"{changed[0]} changes the test, so give out=FILE for its result; evaluation.csv is for the standard test"
         )
-    file = checks.text("out", settings["out"] or "evaluation.csv")
     if settings["run"]:
         run_dir = _path(settings, "run")
         _evaluate_run(settings, run_dir, read_run(run_dir), Path(file) if settings["out"] else run_dir / file)
@@ -375,6 +375,8 @@ def evaluate(settings: Settings) -> None:
             f"out={file} takes the result of one run, so give run=DIR too; out=NAME.csv without a folder is that file in "
             "the folder of every run"
         )
+    if not file.endswith(".csv") or file == "progress.csv":
+        raise UsageError(f"out={file} is no name for an evaluation in a run's folder; take another that ends in .csv")
     # The baseline has no training: it does the task of a default one, in a folder beside the runs.
     ik = settings["policy"] == "ik"
     run_dirs = [results_dir / "ik" / "seed0"] if ik else _trained_runs(results_dir)
