@@ -26,6 +26,7 @@ FLOORS = {
         "conditions",
         "budgets",
         "ablations",
+        "arm_trials",
         "figures",
         "statistics",
         "checkpoint",
@@ -48,7 +49,7 @@ OWNERS = {
     "torch": ("ddpg", "session", "cli"),
     "gymnasium": ("env",),
     "matplotlib": ("report", "figures"),
-    "pandas": ("report", "records", "tables", "comparisons", "conditions", "budgets", "ablations", "figures"),
+    "pandas": ("report", "records", "tables", "comparisons", "conditions", "budgets", "ablations", "arm_trials", "figures"),
     "scipy": ("statistics",),
     "safetensors": ("policy", "checkpoint"),
 }

@@ -401,3 +401,24 @@ def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
     written = {str(path.relative_to(tmp_path)) for path in first if "seed" not in str(path.relative_to(tmp_path))}
     assert len(written) == 20 + 6
     assert {line for line in text.splitlines() if line.startswith("wrote ")} == {f"wrote {tmp_path / name}" for name in written}
+
+
+def test_trials_on_an_arm_stand_beside_the_papers_and_an_emulated_arm_is_never_called_real(tmp_path):
+    add_evaluation(tmp_path, "C", 0, "11")
+    assert not (tmp_path / "arm_trials.csv").exists()
+    real = tmp_path / "short" / "real_arm" / "seed0" / "real"
+    write(real / "trials.csv", [{"success": int(n > 1), "reached": 1, "emulated": 1, "reason": ""} for n in range(20)])
+    write(tmp_path / "real_arm" / "seed1" / "real-desk" / "trials.csv", [{"success": 1, "reached": 1, "emulated": 0}] * 4)
+    report(tmp_path)
+    low, high = statistics.wilson_interval(18, 20)
+    assert lines(tmp_path, "arm_trials.csv") == [
+        "trials_of,arm,trials,success_rate,ci_low,ci_high,reached_rate",
+        "real_arm/seed1/real-desk,real,4,1,0.510109,1,1",
+        f"short/real_arm/seed0/real,emulated,20,0.9,{low:.6g},{high:.6g},1",
+        "the paper's method C,real,50,0.8,0.669629,0.887562,",
+    ]
+    assert "| short/real_arm/seed0/real | emulated | 20 | 90 % (69.9 to 97.2 %) | 100 % |" in lines(tmp_path, "arm_trials.md")
+    write(real / "trials.csv", [{"success": 2, "reached": 1, "emulated": 1}])
+    sentence = "line 2: success is '2' and must be 0 or 1; delete it and run `uarm-rl run-real`"
+    with pytest.raises(ReportError, match=sentence):
+        report(tmp_path)

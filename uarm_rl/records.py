@@ -98,9 +98,13 @@ TRACES: Final[Columns] = {
     **dict.fromkeys((f"{what}_{axis}_m" for what in ("cup", "object") for axis in "xyz"), _FINITE),
 }
 
+#: Columns of ``trials.csv`` that the report needs.
+TRIALS: Final = {"success": _OUTCOME, "reached": _OUTCOME, "emulated": _OUTCOME}
+
 _REMEDIES: Final = {
     "evaluation.csv": "delete it and run `uarm-rl evaluate`",
     "progress.csv": "restore it, or train again with `uarm-rl train overwrite=true`",
+    "trials.csv": "delete it and run `uarm-rl run-real`",
     "paper.csv": "restore it, or delete it to use the packaged one",
 }
 

@@ -13,6 +13,7 @@ import pandas as pd
 
 from uarm_rl import figures, files, tables
 from uarm_rl.ablations import ABLATIONS, ablations
+from uarm_rl.arm_trials import arm_trials
 from uarm_rl.budgets import budgets
 from uarm_rl.comparisons import comparisons
 from uarm_rl.conditions import held_out, holds, tolerance
@@ -86,6 +87,7 @@ def report(results_dir: Path) -> str:
         held_out(shown, runs, evaluations),
         holds(shown, runs, evaluations),
         ablations(results_dir),
+        arm_trials(results_dir),
     ]
     names = _write(results_dir, sections)
     remarks = [remark for section in sections for remark in section.remarks]
