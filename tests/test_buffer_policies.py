@@ -52,7 +52,7 @@ def test_stuck_means_cut_at_a_limit_and_not_moved(clipped, travel_rad, admits):
         (lambda: UntilSteady(0.0, 1, 2), "hold.steady_threshold_rad must be a number above 0, got 0.0"),
         (lambda: UntilSteady(0.1, 5, 4), "hold.max_control_steps must be a whole number of at least 5, got 4"),
         (lambda: NotStuck(float("nan")), "admission.stuck_threshold_rad must be a finite number above 0, got nan"),
-        (lambda: ring(0), "buffer.capacity must be a whole number of at least 1, got 0"),
+        (lambda: ring(0), "buffer.capacity must be a whole number from 1 to 1e\\+07, got 0"),
     ],
 )
 def test_bad_values_are_refused_in_a_sentence(build, sentence):

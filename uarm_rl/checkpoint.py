@@ -67,8 +67,10 @@ def read_latest(run_dir: Path) -> tuple[int, Arrays, dict[str, Any]] | None:
 
     A damaged one is passed over for the one before it, if that is still there; :class:`CheckpointError` if none is whole.
     """
-    problem: CheckpointError | None = None
-    for folder in reversed(_folders(run_dir)):
+    folders = _folders(run_dir)
+    strays = [path for path in run_dir.glob(f"{_PREFIX}*") if path not in folders and path.suffix != ".tmp"]
+    problem = CheckpointError(f"{strays[0]} has not the name of a checkpoint; remove it") if strays else None
+    for folder in reversed(folders):
         try:
             parts = _verified_parts(folder)
             arrays, state = load(parts["arrays.safetensors"]), json.loads(parts["state.json"])
