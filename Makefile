@@ -63,7 +63,7 @@ check: $(VENV)/.installed-dev  ## formatting, lint and types
 bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side; about 10 minutes
 	$(BIN)/python benchmarks/bench.py
 
-torture: $(VENV)/.installed-test  ## kill trainings, fail saves, damage files; about 10 minutes
+torture: $(VENV)/.installed-test  ## kill trainings, fail saves, damage files, hostile input; about 30 minutes
 	$(BIN)/python -m tests.torture --out tests/torture.csv
 
 $(VENV)/bin/python:

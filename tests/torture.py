@@ -67,7 +67,7 @@ class Row(NamedTuple):
 
 def bound(trials: int, failures: int) -> str:
     """The rate that so many random trials without a failure exclude with 95 % confidence."""
-    return f"< {1.0 - 0.05 ** (1.0 / trials):.2%}" if trials and not failures else ""
+    return f"< {100.0 * (1.0 - 0.05 ** (1.0 / trials)):.2g} %" if trials and not failures else ""
 
 
 # Trainings, and their end
