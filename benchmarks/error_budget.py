@@ -43,13 +43,13 @@ HERE: Final = Path(__file__).parent
 #: Sweep -> its axis, the values, and what of ``realism`` a value sets. The default is among the values.
 SWEEPS: Final = {
     "camera": (
-        "Error of the camera's mount (times the default: 0.6 mm and 0.3 degrees per axis)",
+        "Mount error of the camera (1: 0.6 mm and 0.3° per axis)",
         (0.0, 1.0, 2.0, 4.0, 6.0),
         lambda x: {"mount_offset_mm": 0.6 * x, "mount_tilt_deg": 0.3 * x},
     ),
-    "backlash": ("Play in each joint (degrees; default 0.2)", (0.0, 0.2, 0.5, 1.0, 2.0), lambda x: {"backlash_deg": x}),
+    "backlash": ("Play in each joint (degrees, default 0.2)", (0.0, 0.2, 0.5, 1.0, 2.0), lambda x: {"backlash_deg": x}),
     "latency": (
-        "Latency of every answer (ms; default 4)",
+        "Latency of every answer (ms, default 4)",
         (0.0, 4.0, 20.0, 50.0, 100.0),
         lambda x: {"serial_latency_s": x / 1000.0},
     ),
