@@ -35,7 +35,7 @@ import numpy as np
 from tests import hostile, hostile_arm
 from uarm_rl import checkpoint, cli, files, session
 from uarm_rl.logbook import write_rows
-from uarm_rl.policy import ActorPolicy, PolicyFileError
+from uarm_rl.policy import FILE, ActorPolicy, PolicyFileError
 
 #: Two seconds of training: a checkpoint after every second episode, a ring that wraps around.
 TOY = (
@@ -93,7 +93,7 @@ def outcome(run: Path) -> str:
     """One hash of what must be identical: policy, configuration, and progress without the wall time."""
     with open(run / session.PROGRESS, newline="") as file:
         rows = [{key: value for key, value in row.items() if key != "wall_s"} for row in csv.DictReader(file)]
-    parts = [(run / session.POLICY).read_bytes(), (run / session.CONFIG).read_bytes(), repr(rows).encode()]
+    parts = [(run / FILE).read_bytes(), (run / session.CONFIG).read_bytes(), repr(rows).encode()]
     return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 

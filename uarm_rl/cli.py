@@ -344,16 +344,15 @@ def read_run(run_dir: Path) -> Settings:
 
 
 def _load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
-    from uarm_rl.policy import ActorPolicy, InverseKinematicsPolicy
-    from uarm_rl.session import POLICY
+    from uarm_rl.policy import FILE, ActorPolicy, InverseKinematicsPolicy
 
     if name == "ik":
         return InverseKinematicsPolicy(settings["max_delta_rad"])
     if name is not None:
         raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give policy=ik")
-    if not (run_dir / POLICY).exists():
-        raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
-    return ActorPolicy.load(run_dir / POLICY)
+    if not (run_dir / FILE).exists():
+        raise UsageError(f"{run_dir} holds no {FILE}: its training is not finished; continue it with resume=true")
+    return ActorPolicy.load(run_dir / FILE)
 
 
 def evaluate(settings: Settings) -> None:
@@ -389,9 +388,9 @@ def evaluate(settings: Settings) -> None:
 
 
 def _trained_runs(results_dir: Path) -> list[Path]:
-    from uarm_rl.session import POLICY
+    from uarm_rl.policy import FILE
 
-    trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
+    trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{FILE}"))
     if not trained:
         raise UsageError(
             f"{results_dir} holds no trained run; make one with uarm-rl train, or name its folder: results_dir=DIR"

@@ -29,11 +29,10 @@ from uarm_rl.env import ACTION_SIZE, UArmSuctionEnv
 from uarm_rl.logbook import Logbook
 from uarm_rl.noise import Noise
 from uarm_rl.pipeline import InlineEnv, SubprocessEnv
-from uarm_rl.policy import ActorPolicy, Policy
+from uarm_rl.policy import FILE, ActorPolicy, Policy
 from uarm_rl.replay import ReplayBuffer
 from uarm_rl.train import COLUMNS, Counters, stop_on_signals, train
 
-POLICY: Final = "policy.safetensors"
 CONFIG: Final = "config.yaml"
 PROGRESS: Final = "progress.csv"
 
@@ -49,7 +48,7 @@ class RunFolderError(Exception):
 
 def is_finished(run_dir: Path) -> bool:
     """Whether the folder holds a run that trained to its end."""
-    return (run_dir / POLICY).exists()
+    return (run_dir / FILE).exists()
 
 
 @contextmanager
@@ -211,7 +210,7 @@ def run(
             snapshot.write(run_dir)
     if snapshot.episode < schedule.episodes:
         return False
-    policy.save(run_dir / POLICY)
+    policy.save(run_dir / FILE)
     return True
 
 
