@@ -51,7 +51,7 @@ def test_no_two_runs_share_a_folder():
     folders = [
         f"{run['results_dir']}/{run['name']}/seed{run['seed']}" for run in (cli.compose("train", job) for job in trained)
     ]
-    assert len(set(folders)) == len(folders) == 3 * (5 + 6 + 6 + 2 + 2)
+    assert len(set(folders)) == len(folders) == 3 * (5 + 6 + 6 + 2 + 2) + 2 * 6
 
 
 def test_the_papers_runs_are_the_papers():
@@ -80,7 +80,9 @@ def test_small_ones_go_through_to_the_report(tmp_path, monkeypatch, capsys):
         words = [few.get(word, word) for word in words]
         if any(word.startswith("out=") for word in words):
             words = [*words, "positions=two.csv"]
-        if not {"policy=ik", "experiment=servo", "experiment=instant", "experiment=sigma"} & set(words):
+        if not {"policy=ik", "experiment=servo", "experiment=instant", "experiment=sigma", "buffer=adaptive,uniform"} & set(
+            words
+        ):
             monkeypatch.setattr(sys, "argv", ["uarm-rl", *words])
             cli.main()
     results = tmp_path / "results"

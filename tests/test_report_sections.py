@@ -330,6 +330,9 @@ def add_ablations(results: Path) -> None:
         "instant-adaptive-penalty": ("1111", {"servo_rise_s": "0.039"}),
         "adaptive-plain": ("1111", {"sigma": "0"}),
         "sigma-20-adaptive": ("1110", {"sigma": "-20", "moved_m": 0.0005}),
+        "dwell0.25-uniform": ("0011", {}),
+        "dwell0.25-adaptive": ("1111", {}),
+        "gamma0.99-uniform": ("1011", {}),
     }
     for name, (successes, conditions) in runs.items():
         add_evaluation(results / "ablations", name, 0, successes, **conditions)
@@ -344,7 +347,7 @@ def test_ablations_answer_each_question(tmp_path):
     with open(folder / "ablations.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
-        *("question", "run", "buffer", "seeds", "success_rate", "ci_low", "ci_high"),
+        *("question", "run", "setting", "buffer", "seeds", "success_rate", "ci_low", "ci_high"),
         *("object_displacement_m", "object_displacement_low", "object_displacement_high"),
         *("control_steps_per_decision", "servo_rise_s", "sigma"),
     ]
@@ -359,15 +362,19 @@ def test_ablations_answer_each_question(tmp_path):
     assert of("servo", "servo_rise_s") == ["0.039", "0.039", "0.163", "0.163", "0.327", "0.327"]
     assert of("servo", "buffer") == ["adaptive", "uniform"] * 3
     assert of("sigma", "sigma") == ["0", "-5", "-20"]
+    assert of("constants", "setting") == ["nothing", "nothing", "dwell0.25", "dwell0.25", "gamma0.99"]
+    assert of("constants", "success_rate") == ["0.25", "1", "1", "0.5", "0.75"]
     assert of("sigma", "object_displacement_m") == ["0.001", "0.001", "0.0005"]
     markdown = (folder / "ablations.md").read_text()
     assert [line for line in markdown.splitlines() if line.startswith("| sigma-20")] == [
         "| sigma-20-adaptive | 1 | 75 % (30.1 to 95.4 %) | -20 | 11 | 0.5 |"
     ]
-    assert re.findall(r"!\[.*\]\((.*)\)", markdown) == ["halves.png", "fixed_hold.png", "servo.png", "sigma.png"]
-    for picture in ("halves", "fixed_hold", "servo", "sigma"):
+    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell0.25 | 1 | 1.0 |" in markdown.splitlines()
+    pictures = ["halves", "fixed_hold", "servo", "sigma", "constants"]
+    assert re.findall(r"!\[.*\]\((.*)\)", markdown) == [f"{picture}.png" for picture in pictures]
+    for picture in pictures:
         assert (folder / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
-    assert not remarks(text, "ablation ")
+    assert ["damping*, tolerance*" in remark for remark in remarks(text, "ablation ")] == [True]
     assert "not trained: A (adaptive-plain)" in text
 
 
@@ -399,7 +406,7 @@ def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
     assert report(tmp_path) == text
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == first
     written = {str(path.relative_to(tmp_path)) for path in first if "seed" not in str(path.relative_to(tmp_path))}
-    assert len(written) == 20 + 6
+    assert len(written) == 20 + 7
     assert {line for line in text.splitlines() if line.startswith("wrote ")} == {f"wrote {tmp_path / name}" for name in written}
 
 

@@ -52,9 +52,16 @@ _QUESTIONS: Final = {
         "experiment=sigma reward.sigma=-1,-20",
         "sigma",
     ),
+    "constants": _Question(
+        "Does what was found hang on the constants that were chosen?",
+        ("uniform-penalty", "adaptive-penalty", "dwell*", "damping*", "tolerance*", "gamma*"),
+        "episodes=300 buffer=adaptive,uniform dwell_s=0.25,1 'name=dwell${dwell_s}-${buffer.name}'",
+        "setting",
+    ),
 }
 
 _HEADINGS: Final = {
+    "setting": "Changed",
     "servo_rise_s": "Servo rise (s)",
     "sigma": "Sigma (1/m)",
     "control_steps_per_decision": "Control steps a decision",
@@ -64,7 +71,7 @@ _DISPLACEMENT: Final = "object_displacement_m"
 
 
 def ablations(results_dir: Path) -> Section:
-    """ablations.csv and .md, and halves, fixed_hold, servo and sigma.png, all in ``results_dir/ablations``."""
+    """ablations.csv and .md, and halves, fixed_hold, servo, sigma and constants.png, all in ``results_dir/ablations``."""
     folder = results_dir / ABLATIONS
     if not folder.is_dir():
         return Section(remarks=["no ablations; `make ablations` trains and evaluates them"])
@@ -94,6 +101,7 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
     last = progress.groupby("seed").last()
     return {
         "run": run,
+        "setting": "nothing" if run.endswith("-penalty") else run.rpartition("-")[0],
         "buffer": "uniform" if "uniform" in run else "adaptive" if "adaptive" in run else run.partition("-")[0],
         **tables.success(evaluation),
         _DISPLACEMENT: moved.mean(),
@@ -107,7 +115,10 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
 
 def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
     """Sweeps from instant to slow and from no punishment to much, the others in the order of the question."""
-    return table if swept is None else table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
+    if swept is None or swept == "setting":
+        return table
+    ordered: pd.DataFrame = table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
+    return ordered
 
 
 def _picture(swept: str | None, table: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> bytes:
@@ -115,6 +126,8 @@ def _picture(swept: str | None, table: pd.DataFrame, progress: Mapping[str, pd.D
         return figures.picture(lambda figure: figures.draw_servo_sweep(figure, table), 2.6)
     if swept == "sigma":
         return figures.picture(lambda figure: figures.draw_sigma_sweep(figure, table))
+    if swept == "setting":
+        return figures.picture(lambda figure: figures.draw_settings(figure, table), 2.6)
     rate = "validation_success_rate"
     curves = {run: tables.over_seeds(progress[run].dropna(subset=[rate]), "experiences", [rate]) for run in table["run"]}
     return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, rate))
@@ -146,7 +159,9 @@ def _markdown(found: Mapping[str, pd.DataFrame]) -> str:
     return "\n".join(text)
 
 
-def _cell(column: str, value: float) -> str:
+def _cell(column: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
     if math.isnan(value):
         return "-"
     return f"{1000.0 * value:.1f}" if column == _DISPLACEMENT else f"{value:.3g}"

@@ -165,6 +165,19 @@ def draw_servo_sweep(figure: Figure, table: pd.DataFrame) -> None:
     _success_axis(axes, "Success on the test positions (%)")
 
 
+def draw_settings(figure: Figure, table: pd.DataFrame) -> None:
+    """Success of waiting and not waiting with one constant changed at a time."""
+    axes = figure.subplots()
+    settings = list(dict.fromkeys(table["setting"]))
+    for buffer, rows in table.groupby("buffer"):
+        colour = _BUFFERS.get(str(buffer), "black")
+        places = pd.Series([settings.index(setting) for setting in rows["setting"]])
+        _points(axes, places, rows, colour, str(buffer), line="")
+    axes.set_xticks(range(len(settings)), settings, rotation=30, ha="right")
+    axes.set(xlabel="Changed")
+    _success_axis(axes, "Success on the test positions (%)")
+
+
 def draw_sigma_sweep(figure: Figure, table: pd.DataFrame) -> None:
     """How far the object is moved, and how often the cup arrives, as moving it is punished more."""
     moved, success = figure.subplots(2, 1, sharex=True)
@@ -180,13 +193,14 @@ def draw_sigma_sweep(figure: Figure, table: pd.DataFrame) -> None:
     _success_axis(success, "Success on the\ntest positions (%)")
 
 
-def _points(axes: Axes, x: pd.Series[float], rows: pd.DataFrame, colour: str, label: str) -> None:
-    """Success rates with their 95 % intervals."""
+def _points(axes: Axes, x: pd.Series[float], rows: pd.DataFrame, colour: str, label: str, line: str = "-") -> None:
+    """Success rates with their 95 % intervals, joined by ``line``."""
     if len(rows):
         rate = rows["success_rate"].to_numpy()
         below, over = rate - rows["ci_low"].to_numpy(), rows["ci_high"].to_numpy() - rate
         spread = (below.clip(0), over.clip(0))
-        axes.errorbar(x, rate, yerr=spread, color=colour, marker=".", capsize=2, elinewidth=0.6, label=label or None)
+        bars = axes.errorbar(x, rate, yerr=spread, color=colour, marker=".", linestyle=line, capsize=2, elinewidth=0.6)
+        bars.set_label(label)
 
 
 def _success_axis(axes: Axes, words: str) -> None:
