@@ -39,7 +39,7 @@ def test_the_lens_then_the_mount(run, tmp_path):  # noqa: F811
     ("words", "code", "part"),
     [
         (["calibrate-camera", "camera=none"], 1, "there is no folder board"),
-        (["calibrate-camera"], 1, "no serial port has an OpenMV's USB id"),
+        (["calibrate-camera"], 1, "no serial port has the USB id of an OpenMV camera"),
         (["calibrate-camera", "camera=none", "count=0"], 2, "count must be a whole number of at least 1"),
         (["calibrate-camera", "camera=none", "board.rows=1"], 2, "rows must be a whole number from 3 to 50"),
         (["calibrate-hand-eye"], 1, "lens.json cannot be read"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import itertools
 import json
 import os
@@ -15,7 +14,6 @@ import threading
 import tty
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -24,14 +22,12 @@ import serial
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uarm_rl.real import camera
 from uarm_rl.real.camera import (
     OPENMV_SCRIPT,
     CameraError,
     OpenMVCamera,
     StillImages,
     Webcam,
-    find_port,
     picture_files,
     read_picture,
 )
@@ -291,62 +287,12 @@ def test_ten_thousand_random_streams_never_hang_the_camera():
     assert refused == 10_000
 
 
-# Ports
+# Real terminals
 
 
-def usb(device, vid, pid):
-    return SimpleNamespace(device=device, vid=vid, pid=pid)
-
-
-ARM = usb("/dev/ttyACM0", 0x2341, 0x0042)
-OLD = usb("/dev/ttyACM1", 0x1209, 0xABD1)
-H7 = usb("/dev/ttyACM2", 0x37C5, 0x1204)
-
-
-@pytest.mark.parametrize("openmv", [OLD, H7])
-def test_the_camera_is_found_by_its_usb_id(openmv):
-    assert find_port([ARM, openmv, usb("/dev/ttyS0", None, None)]) == openmv.device
-
-
-@pytest.mark.parametrize(
-    ("ports", "words"), [([], "present: none"), ([ARM], "present: /dev/ttyACM0"), ([OLD, H7], "/dev/ttyACM1, /dev/ttyACM2")]
-)
-def test_no_camera_or_several(ports, words):
-    with pytest.raises(CameraError, match=words):
-        find_port(ports)
-
-
-def test_the_arms_port_is_refused_before_it_is_opened(monkeypatch):
-    monkeypatch.setattr(camera.list_ports, "comports", lambda: [ARM])
-    monkeypatch.setattr(serial, "Serial", lambda *_, **__: pytest.fail("opened"))
-    with pytest.raises(CameraError, match="the arm's port"):
-        OpenMVCamera("/dev/ttyACM0")
-
-
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        (errno.EACCES, "dialout"),
-        (errno.EBUSY, "in use by another program"),
-        (errno.ENOENT, "there is no port"),
-        (errno.EIO, "cannot be opened"),
-    ],
-)
-def test_why_a_port_does_not_open(code, words, monkeypatch):
-    def refuse(*_, **__):
-        raise serial.SerialException(code, os.strerror(code))
-
-    monkeypatch.setattr(serial, "Serial", refuse)
-    with pytest.raises(CameraError, match=words):
-        OpenMVCamera("/dev/ttyACM1")
-
-
-def test_what_is_no_port(tmp_path):
+def test_a_port_that_does_not_open_is_the_cameras_error(tmp_path):
     with pytest.raises(CameraError, match="there is no port"):
         OpenMVCamera(str(tmp_path / "nothing"))
-    (tmp_path / "file").touch()
-    with pytest.raises(CameraError, match="cannot be opened"):
-        OpenMVCamera(str(tmp_path / "file"))
 
 
 @contextmanager
@@ -387,11 +333,6 @@ def test_a_picture_over_a_real_terminal():
 def test_the_speed_is_none_that_has_a_meaning_for_the_camera():
     with terminal() as (master, path), OpenMVCamera(path):
         assert termios.tcgetattr(master)[4:6] == [termios.B115200, termios.B115200]
-
-
-def test_a_port_is_opened_for_one_program_alone():
-    with terminal() as (_, path), OpenMVCamera(path), pytest.raises(CameraError, match="in use by another program"):
-        OpenMVCamera(path)
 
 
 def test_an_unplugged_cable_is_one_sentence():

@@ -41,7 +41,7 @@ def test_what_is_plugged_in(tmp_path):
         path.touch()
     ports = [listed(other), listed(arm, 0x2341, 0x0042), listed(camera, 0x37C5, 0x1204)]
     assert [str(finding) for finding in doctor.ports(ports)] == [
-        f"ok       ports        {arm} is the arm",
+        f"ok       ports        {arm} is the uArm",
         f"ok       ports        {camera} is an OpenMV camera",
         f"ok       ports        {other} is something else",
     ]
@@ -142,7 +142,7 @@ def test_the_command(run, tmp_path):  # noqa: F811
     """Exit code 1 and what to do about each problem; 0 when all is well."""
     code, output, error = run("doctor")
     assert (code, error) == (1, "")
-    for words in ("no serial port has the uArm's USB id", "OpenMV", "calibration.json cannot be read", "there is no policy"):
+    for words in ("no serial port has the USB id of the uArm", "OpenMV", "calibration.json cannot be read", "there is no policy"):
         assert words in output
     assert output.splitlines()[-1] == "4 problems"
     policy_file(tmp_path / "run" / "policy.safetensors")

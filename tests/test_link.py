@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 import random
@@ -12,7 +11,6 @@ import tracemalloc
 import tty
 from contextlib import suppress
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 
 import pytest
 import serial
@@ -20,16 +18,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uarm_rl.arm import ArmError
-from uarm_rl.real import gcode, link
+from uarm_rl.real import gcode, ports
 from uarm_rl.real.link import (
     AlarmError,
     BadReplyError,
     CommandRefusedError,
+    Event,
     Link,
     LinkLostError,
     NoReplyError,
-    PortError,
-    find_port,
     open_link,
 )
 
@@ -166,7 +163,7 @@ def test_a_refusal_carries_its_code():
 
 
 def test_events_reach_the_callback_and_its_error_ends_the_call():
-    seen: list[link.Event] = []
+    seen: list[Event] = []
     _, arm = connect(b"@5 V1\nsoft ver : V4.10.0\r\n$1 ok\n", b"@5 V0\n$2 ok V1\n")
     arm.on_event = seen.append
     arm.request(gcode.MOTORS_ON)
@@ -192,7 +189,7 @@ def test_a_flood_neither_hangs_nor_fills_the_memory(endless):
 
 
 def _termios_error():
-    return link.termios_error(5, "Input/output error")
+    return ports.termios_error(5, "Input/output error")
 
 
 @pytest.mark.parametrize("error", [serial.SerialException("gone"), OSError(5, "I/O"), _termios_error()])
@@ -231,58 +228,7 @@ def test_random_bytes_from_the_arm(chunks):
         assert script.now_s - start_s <= 0.1 + 2 * READ_S + 0.01
 
 
-# Ports
-
-
-def port(device, vid=0x2341, pid=0x0042):
-    return SimpleNamespace(device=device, vid=vid, pid=pid)
-
-
-CAMERA = port("/dev/ttyACM1", 0x37C5, 0x124A)
-
-
-def test_the_arm_is_found_by_its_usb_id():
-    assert find_port([CAMERA, port("/dev/ttyACM0"), port("/dev/ttyS0", None, None)]) == "/dev/ttyACM0"
-
-
-@pytest.mark.parametrize(
-    ("ports", "words"),
-    [
-        ([], r"plug in the USB cable.*present: none"),
-        ([CAMERA], r"no serial port has the uArm's USB id 2341:0042.*present: /dev/ttyACM1"),
-        ([port("/dev/ttyACM3"), port("/dev/ttyACM2")], "several ports.*/dev/ttyACM2, /dev/ttyACM3; name one with --port"),
-    ],
-)
-def test_no_arm_or_several(ports, words):
-    with pytest.raises(PortError, match=words):
-        find_port(ports)
-
-
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        (errno.EACCES, "dialout"),
-        (errno.EBUSY, "in use by another program"),
-        (errno.EAGAIN, "in use by another program"),
-        (errno.ENOENT, "there is no port"),
-        (errno.EIO, "cannot be opened as a serial port"),
-    ],
-)
-def test_why_a_port_does_not_open(code, words, monkeypatch):
-    def refuse(*args, **keywords):
-        raise serial.SerialException(code, "could not open port")
-
-    monkeypatch.setattr(serial, "Serial", refuse)
-    with pytest.raises(PortError, match=words):
-        open_link("/dev/ttyACM0")
-
-
-def test_what_is_no_port(tmp_path):
-    with pytest.raises(PortError, match="there is no port"):
-        open_link(str(tmp_path / "nothing"))
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(PortError, match="cannot be opened as a serial port"):
-        open_link(str(tmp_path / "file"))
+# Real terminals
 
 
 @pytest.fixture
@@ -293,15 +239,6 @@ def terminal():
     yield master, os.ttyname(slave)
     os.close(slave)
     os.close(master)
-
-
-def test_a_port_is_opened_for_one_program_alone(terminal):
-    arm = open_link(terminal[1])
-    try:
-        with pytest.raises(PortError, match="in use by another program"):
-            open_link(terminal[1])
-    finally:
-        arm.close()
 
 
 def _answer(master, reply):

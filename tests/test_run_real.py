@@ -458,7 +458,7 @@ TARGET = ("--target", 0.2, 0.05, 0.03)
     ("words", "code", "parts"),
     [
         (["port=/dev/nowhere", *TARGET, *FAST[2:]], 1, ["there is no port /dev/nowhere"]),
-        ([*TARGET, *FAST[2:]], 1, ["no serial port has the uArm's USB id", "--port"]),
+        ([*TARGET, *FAST[2:]], 1, ["no serial port has the USB id of the uArm", "--port"]),
         (["port=PORT", *TARGET], 2, ["there is no policy results/short/real_arm/seed0", "--policy", "experiment=real_arm"]),
         (["port=PORT", *TARGET, "policy=wide"], 1, ["action scale", "max_delta_rad", "0.25, got 0.3"]),
         (["port=PORT", *TARGET, "policy=poor"], 1, ["lacks", "tolerance_m"]),
@@ -531,9 +531,9 @@ def test_the_cameras_port_is_not_the_arms(run, monkeypatch, served):
 
     server, firmware = served
     camera = SimpleNamespace(device=server.path, vid=0x37C5, pid=0x1204)
-    monkeypatch.setattr("uarm_rl.real.link.list_ports.comports", lambda: [camera])
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [camera])
     code, _, error = run("run-real", "--port", server.path, *TARGET, *FAST)
-    assert (code, "is the port of an OpenMV camera, not the arm's" in error) == (1, True)
+    assert (code, "is the port of an OpenMV camera, not of the uArm" in error) == (1, True)
     assert firmware.heard == b""
 
 

@@ -26,7 +26,8 @@ from uarm_rl.real.arm import SwiftArm
 from uarm_rl.real.audit import Limits
 from uarm_rl.real.doctor import Finding
 from uarm_rl.real.dryrun import DryPort
-from uarm_rl.real.link import Link, PortError, find_port, open_link
+from uarm_rl.real.link import Link, open_link
+from uarm_rl.real.ports import ARM, PortError, find_port
 from uarm_rl.real.trials import COLUMNS, ObjectNotFoundError, Row, Search, Task, Trial, out_of_reach, run_trials
 from uarm_rl.statistics import wilson_interval
 from uarm_rl.usage import UsageError
@@ -114,7 +115,7 @@ def _is_master(descriptor: Path) -> bool:
 
 def connect(port: str | None, *, speed: float = 1.0, **keywords: Any) -> SwiftArm:
     """The arm at ``port``, or the one that is plugged in; the keywords are those of ``SwiftArm``."""
-    name = find_port() if port is None else port
+    name = find_port(ARM) if port is None else port
     if speed != 1.0 and not is_emulated(name):
         raise UsageError(f"speed={speed:g} is for an emulator, and {name} is no pseudo-terminal; leave speed at 1")
     return SwiftArm(open_link(name), speed=speed, **keywords)
@@ -359,7 +360,7 @@ def examine(
     """Look at ports, arm, camera, calibration and policy; findings come as they are made."""
     yield from doctor.ports()
     try:
-        name = find_port() if port is None else port
+        name = find_port(ARM) if port is None else port
     except PortError as error:
         yield Finding("problem", "arm", str(error))
         name = None

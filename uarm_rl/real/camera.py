@@ -8,29 +8,21 @@ picture when the next one agrees with it.
 
 from __future__ import annotations
 
-import errno
 import logging
 import re
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import cv2
 import numpy as np
-import serial
 from numpy.typing import NDArray
-from serial.tools import list_ports
 
 from uarm_rl import checks
-from uarm_rl.real import link
-
-try:
-    from termios import error as termios_error
-except ImportError:  # Windows has none
-    termios_error = OSError  # type: ignore[misc, assignment]
+from uarm_rl.real.ports import BROKEN, CAMERA, READ_S, Port, PortError, find_port, open_port
 
 log = logging.getLogger(__name__)
 
@@ -62,14 +54,6 @@ class Camera(Protocol):
 #: What has to run on the camera; its docstring says how to put it there.
 OPENMV_SCRIPT: Final = Path(__file__).with_name("openmv") / "main.py"
 
-#: USB vendor and product ids of OpenMV cameras: all boards before firmware 5; then M4, M7, H7, Pure Thermal, H7 Plus,
-#: RT1062, N6, AE3. From OpenMV's board configurations.
-OPENMV_USB_IDS: Final = frozenset(
-    {(0x1209, 0xABD1)} | {(0x37C5, product) for product in (0x1202, 0x1203, 0x1204, 0x1205, 0x124A, 0x1060, 0x1206, 0x16E3)}
-)
-#: Any rate will do but 921600 and 12000000, which switch the camera to the protocol of its IDE.
-_BAUD: Final = 115200
-_READ_S: Final = 0.02
 _WRITE_S: Final = 0.5
 _CHUNK_BYTES: Final = 65536
 _BYTES: Final = (512, 512 * 1024)  # what a JPEG from this camera may have
@@ -90,9 +74,6 @@ _ARM_TALK: Final = re.compile(rb"[@$]\d|uArm|uarm|^ok|E2[0-9]\b")
 _LOG_ERRORS: Final = 2
 _STORED_PICTURES: Final = 4  # by Video4Linux
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".bmp")
-
-# What a vanished device raises, depending on the call and on how it vanished.
-_BROKEN: Final = (serial.SerialException, OSError, termios_error)
 
 
 class _BadAnswerError(Exception):
@@ -117,16 +98,19 @@ class OpenMVCamera:
 
     def __init__(
         self,
-        port: str | link.Port | None = None,
+        port: str | Port | None = None,
         *,
         timeout_s: float = 15.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._timeout_s = checks.number("timeout_s", timeout_s, low=0.0, high=600.0, open_low=True)
         self._clock = clock
-        if port is None:
-            port = find_port()
-        self._port: link.Port | None = _open(port) if isinstance(port, str) else port
+        try:
+            if port is None:
+                port = find_port(CAMERA)
+            self._port: Port | None = open_port(CAMERA, port, write_timeout_s=_WRITE_S) if isinstance(port, str) else port
+        except PortError as error:
+            raise CameraError(str(error)) from error
         self.name = f"the OpenMV camera at {port}" if isinstance(port, str) else "the OpenMV camera"
         self.frozen = False
         self._last_jpeg = b""
@@ -152,7 +136,7 @@ class OpenMVCamera:
 
     def _frame(self, deadline_s: float) -> tuple[Picture, bytes]:
         """The next picture that decodes, and its bytes."""
-        complaint, silence_s = "", _READ_S
+        complaint, silence_s = "", READ_S
         while True:
             self._drain(silence_s, deadline_s)
             if self._clock() >= deadline_s:
@@ -220,16 +204,16 @@ class OpenMVCamera:
     def _read(self, size: int) -> bytes:
         try:
             return self._open_port().read(min(size, _CHUNK_BYTES))
-        except _BROKEN as error:
+        except BROKEN as error:
             raise self._lost(error) from error
 
     def _write(self, data: bytes) -> None:
         try:
             self._open_port().write(data)
-        except _BROKEN as error:
+        except BROKEN as error:
             raise self._lost(error) from error
 
-    def _open_port(self) -> link.Port:
+    def _open_port(self) -> Port:
         if self._port is None:
             raise CameraError(f"{self.name} is closed; open it again")
         return self._port
@@ -240,7 +224,7 @@ class OpenMVCamera:
     def close(self) -> None:
         port, self._port = self._port, None
         if port is not None:
-            with suppress(*_BROKEN):
+            with suppress(*BROKEN):
                 port.close()
 
     def __enter__(self) -> OpenMVCamera:
@@ -248,48 +232,6 @@ class OpenMVCamera:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
-
-
-def find_port(ports: Iterable[Any] | None = None) -> str:
-    """The device name of the one OpenMV that is plugged in, found by its USB id; ``ports`` as pyserial lists them."""
-    present = list(list_ports.comports() if ports is None else ports)
-    cameras = sorted(port.device for port in present if (port.vid, port.pid) in OPENMV_USB_IDS)
-    if len(cameras) == 1:
-        return str(cameras[0])
-    if cameras:
-        raise CameraError(f"several ports have an OpenMV's USB id: {', '.join(cameras)}; name the camera's port")
-    others = ", ".join(sorted(port.device for port in present)) or "none"
-    raise CameraError(
-        "no serial port has an OpenMV's USB id; plug in the camera, wait 6 s, or name its port (serial ports present: "
-        f"{others})"
-    )
-
-
-def _open(name: str) -> link.Port:
-    # Looked at first: opening the arm's port would restart the arm.
-    for port in list_ports.comports():
-        if port.device == name and (port.vid, port.pid) == link.USB_ID:
-            raise CameraError(f"{name} is the arm's port, not the camera's; name the camera's port, or leave it out")
-    try:
-        # DTR is on after opening: without it the camera believes that nobody listens.
-        opened: link.Port = serial.Serial(name, _BAUD, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True)
-    except (*_BROKEN, ValueError) as error:
-        raise CameraError(_why_not_open(name, error)) from error
-    return opened
-
-
-def _why_not_open(name: str, error: Exception) -> str:
-    code = getattr(error, "errno", None)
-    if code == errno.EACCES:
-        return (
-            f"no permission to open the camera's port {name}; add yourself to the port's group (sudo usermod -aG dialout "
-            "$USER), then log out and in again"
-        )
-    if code in (errno.EBUSY, errno.EAGAIN):
-        return f"the camera's port {name} is in use by another program; close it (OpenMV IDE, another run) and try again"
-    if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return f"there is no port {name}; plug in the camera, or leave the port out to find the camera by its USB id"
-    return f"{name} cannot be opened as the camera's port ({error}); name the camera's port"
 
 
 def _is_text(data: bytes) -> bool:

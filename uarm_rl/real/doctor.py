@@ -18,6 +18,7 @@ from uarm_rl import kinematics
 from uarm_rl.arm import ArmError
 from uarm_rl.real import gcode, link
 from uarm_rl.real.arm import NEWEST_TESTED_FIRMWARE, OLDEST_FIRMWARE
+from uarm_rl.real.ports import device_at
 
 if TYPE_CHECKING:
     from uarm_rl.real.camera import Camera, Picture
@@ -39,15 +40,13 @@ class Finding(NamedTuple):
 
 def ports(present: Iterable[Any] | None = None) -> Iterator[Finding]:
     """What is plugged in, and whether it may be opened; ``present`` as pyserial lists ports."""
-    from uarm_rl.real.camera import OPENMV_USB_IDS
-
     found = sorted(list_ports.comports() if present is None else present, key=lambda port: str(port.device))
     if not found:
         yield Finding("warning", "ports", "no serial port is present; plug in the USB cables of arm and camera")
     for port in found:
-        ids = (port.vid, port.pid)
-        name = "the arm" if ids == link.USB_ID else "an OpenMV camera" if ids in OPENMV_USB_IDS else "something else"
-        if name == "something else" or os.access(port.device, os.R_OK | os.W_OK):
+        device = device_at(port)
+        name = device.name if device else "something else"
+        if device is None or os.access(port.device, os.R_OK | os.W_OK):
             yield Finding("ok", "ports", f"{port.device} is {name}")
         else:
             yield Finding(

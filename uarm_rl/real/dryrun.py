@@ -11,13 +11,13 @@ from typing import Final
 from uarm_rl import kinematics
 from uarm_rl.real import gcode
 from uarm_rl.real.arm import PARK_JOINTS_RAD
+from uarm_rl.real.ports import READ_S
 
-_READ_S: Final = 0.02
 _MOVE: Final = re.compile(r"G2206 B(\S+) L(\S+) R(\S+) F(\S+)")
 
 
 class DryPort:
-    """A ``link.Port`` and its clock: ``Link(port, "dry run", clock=port.clock)``. ``say`` gets a line for each command.
+    """A ``ports.Port`` and its clock: ``Link(port, "dry run", clock=port.clock)``. ``say`` gets a line for each command.
 
     The arm starts parked, arrives when the firmware's speed law says so, and its cup seals whenever the pump runs.
     """
@@ -40,7 +40,7 @@ class DryPort:
 
     def read(self, size: int = 1) -> bytes:
         if not self._out:
-            self._now_s += _READ_S
+            self._now_s += READ_S
         data, self._out = self._out[:size], self._out[size:]
         return data
 

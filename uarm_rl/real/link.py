@@ -7,43 +7,22 @@ blocked write (0.2 s), whatever arrives, and no buffer grows with what arrives.
 
 from __future__ import annotations
 
-import errno
 import logging
-import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from typing import Any, Final, Protocol
-
-import serial
-from serial.tools import list_ports
+from collections.abc import Callable
+from typing import Final
 
 from uarm_rl.arm import ArmError
-from uarm_rl.real import gcode
-
-try:
-    from termios import error as termios_error
-except ImportError:  # Windows has none
-    termios_error = OSError  # type: ignore[misc, assignment]
+from uarm_rl.real import gcode, ports
+from uarm_rl.real.ports import BROKEN, Port
 
 log = logging.getLogger(__name__)
 
-USB_ID: Final = (0x2341, 0x0042)  # the Arduino Mega 2560's bridge on the arm's board
-#: USB vendors of OpenMV cameras, whose ports look like the arm's and must not be taken for it.
-CAMERA_VENDORS: Final = (0x1209, 0x37C5)
-BAUD: Final = 115200
-_READ_S: Final = 0.02
 _WRITE_S: Final = 0.2
 _MAX_CHUNK_BYTES: Final = 4096
 _MAX_LINE_BYTES: Final = 256  # the arm's longest line has about 60
 _MAX_PENDING: Final = 32  # more requests than the arm can hold unanswered
-
-# What a vanished device raises, depending on the call and on how it vanished.
-_BROKEN: Final = (serial.SerialException, OSError, termios_error)
-
-
-class PortError(ArmError):
-    """No port, several, or one that cannot be opened."""
 
 
 class LinkLostError(ArmError):
@@ -68,19 +47,6 @@ class CommandRefusedError(ArmError):
 
 class AlarmError(ArmError):
     """The firmware has locked itself."""
-
-
-class Port(Protocol):
-    """What the link needs of ``serial.Serial``: ``read`` returns after a short while, with fewer bytes or none."""
-
-    @property
-    def in_waiting(self) -> int: ...
-
-    def read(self, size: int = 1) -> bytes: ...
-
-    def write(self, data: bytes) -> int | None: ...
-
-    def close(self) -> None: ...
 
 
 Event = gcode.Report | gcode.Boot
@@ -179,7 +145,7 @@ class Link:
         log.debug("%s < %r", self.name, data)
         try:
             self._port.write(data)
-        except _BROKEN as error:
+        except BROKEN as error:
             raise self._lost("accepts no more bytes", error) from error
 
     def close(self) -> None:
@@ -188,7 +154,7 @@ class Link:
             self._closed = True
             try:
                 self._port.close()
-            except _BROKEN as error:
+            except BROKEN as error:
                 log.debug("closing %s: %s", self.name, error)
 
     def _forget(self, number: int) -> None:
@@ -197,10 +163,10 @@ class Link:
 
     def _read(self) -> bytes:
         try:
-            data = self._port.read(1)  # waits up to _READ_S
+            data = self._port.read(1)  # waits up to READ_S
             if data and (waiting := self._port.in_waiting):
                 data += self._port.read(min(waiting, _MAX_CHUNK_BYTES))
-        except _BROKEN as error:
+        except BROKEN as error:
             raise self._lost("stopped answering", error) from error
         return data
 
@@ -237,46 +203,11 @@ class Link:
             self.on_event(message)
 
 
-def find_port(ports: Iterable[Any] | None = None) -> str:
-    """The device name of the one uArm that is plugged in, found by its USB id; ``ports`` as pyserial lists them."""
-    present = list(list_ports.comports() if ports is None else ports)
-    arms = sorted(port.device for port in present if (port.vid, port.pid) == USB_ID)
-    if len(arms) == 1:
-        return str(arms[0])
-    if arms:
-        raise PortError(f"several ports have the uArm's USB id 2341:0042: {', '.join(arms)}; name one with --port")
-    others = ", ".join(sorted(port.device for port in present)) or "none"
-    raise PortError(
-        "no serial port has the uArm's USB id 2341:0042; plug in the USB cable and the power supply, or name the port "
-        f"with --port (serial ports present: {others})"
-    )
-
-
 def open_link(port: str | None = None) -> Link:
     """Open ``port``, or the one uArm that is plugged in, for this process alone.
 
     On the real arm this pulses DTR and resets the controller: the motors go limp for a moment and the arm may sag.
     """
-    name = find_port() if port is None else port
-    if any(os.path.realpath(name) == one.device and one.vid in CAMERA_VENDORS for one in list_ports.comports()):
-        raise PortError(f"{name} is the port of an OpenMV camera, not the arm's; name the arm's port with --port")
+    name = ports.find_port(ports.ARM) if port is None else port
     log.info("opening %s, which resets the arm: it may sag for a moment", name)
-    try:
-        opened = serial.Serial(name, BAUD, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True)
-    except (*_BROKEN, ValueError) as error:
-        raise PortError(_why_not_open(name, error)) from error
-    return Link(opened, name)
-
-
-def _why_not_open(name: str, error: Exception) -> str:
-    code = getattr(error, "errno", None)
-    if code == errno.EACCES:
-        return (
-            f"no permission to open {name}; add yourself to the port's group (sudo usermod -aG dialout $USER), then "
-            "log out and in again"
-        )
-    if code in (errno.EBUSY, errno.EAGAIN):
-        return f"{name} is in use by another program; close it (uArm Studio, a serial monitor, another run) and try again"
-    if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return f"there is no port {name}; check the cable, or leave --port out to find the arm by its USB id"
-    return f"{name} cannot be opened as a serial port ({error}); name the arm's port with --port"
+    return Link(ports.open_port(ports.ARM, name, write_timeout_s=_WRITE_S), name)
