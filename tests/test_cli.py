@@ -88,7 +88,7 @@ def test_a_file_name_alone_is_that_file_in_the_folder_of_every_run(copied):
         with open(path, newline="") as file:
             rows = list(csv.DictReader(file))
         if path.name == "three.csv":
-            assert [(row["tolerance_m"], row["hold"]) for row in rows] == [("0.002", "fixed(11)")] * 3
+            assert [(row["tolerance_m"], row["hold"]) for row in rows] == [("0.002", "fixed(13)")] * 3
         else:
             assert {row["position"] for row in rows} == {"0", "1"}
             assert [row["time_s"] for row in rows if row["position"] == "1"][:3] == ["0", "0.05", "0.1"]

@@ -79,7 +79,7 @@ def holds(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Secti
         for tested, rows in _by_condition(tests, method.folder, "hold")
     )
     if len(table):
-        table = table.sort_values("tested_hold", key=lambda holds: holds.str.len(), kind="stable")  # fixed(1), fixed(11)
+        table = table.sort_values("tested_hold", key=lambda holds: holds.str.len(), kind="stable")  # fixed(1), fixed(13)
         section.contents["holds.csv"] = tables.csv(table)
         section.contents["holds.md"] = _holds_markdown(table).encode()
         section.contents["holds.png"] = figures.picture(lambda figure: figures.draw_holds(figure, table), 2.6)
