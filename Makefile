@@ -55,7 +55,7 @@ ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works,
 	$(TRAIN_CHANGED) servo.damping=0.3,0.8 'name=damping$${servo.damping}-$${buffer.name}' $(OVERRIDES)
 	$(TRAIN_CHANGED) tolerance_m=0.01 'name=tolerance$${tolerance_m}-$${buffer.name}' $(OVERRIDES)
 	$(TRAIN_CHANGED) agent.gamma=0.99 'name=gamma$${agent.gamma}-$${buffer.name}' $(OVERRIDES)
-	$(BIN)/uarm-rl evaluate results_dir=$(RESULTS)/ablations
+	$(BIN)/uarm-rl evaluate results_dir=$(RESULTS)/ablations overwrite=true
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
 test: $(VENV)/.installed-test  ## the whole test suite
