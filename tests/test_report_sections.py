@@ -247,11 +247,12 @@ def test_a_bad_further_evaluation_is_named(tmp_path):
 
 
 def add_traces(results: Path, name: str, seed: int, *positions: int) -> None:
+    """Each position takes four control steps, and position 1 five."""
     rows = [
         {"position": position, "step": step, "time_s": step / 20, "joint1_rad": 0.1, "joint2_rad": 0.2, "joint3_rad": 0.3}
         | {f"{what}_{axis}_m": 0.2 + 0.01 * seed * step for what in ("cup", "object") for axis in "xyz"}
         for position in positions
-        for step in range(4)
+        for step in range(4 + (position == 1))
     ]
     write(results / NAMES[name] / f"seed{seed}" / "evaluation-traces.csv", rows)
 
@@ -273,6 +274,19 @@ def test_shaking_is_drawn_from_the_lowest_seeds_that_recorded_it(tmp_path):
     add_traces(tmp_path, "B", 2, 1)
     report(tmp_path)
     assert (tmp_path / "shaking.png").read_bytes() != first
+
+
+def test_shaking_is_shown_where_the_uniform_method_takes_longest(tmp_path):
+    def drawn(*positions: int) -> bytes:
+        for name in "AB":
+            add_traces(tmp_path, name, 0, *positions)
+        report(tmp_path)
+        return (tmp_path / "shaking.png").read_bytes()
+
+    for name in "AB":
+        add_evaluation(tmp_path, name, 0, "111")
+    assert drawn(0, 1, 2) == drawn(1) != drawn(0)
+    assert drawn(0, 2) == drawn(0) != drawn(2)  # the lower of two that take as long
 
 
 # Budgets

@@ -170,16 +170,21 @@ def _learning(shown: Sequence[Method], progress: Mapping[str, pd.DataFrame]) -> 
 
 
 def _shaking(runs: Runs) -> Section:
-    """shaking.png: what A and B (or else C and D) do on the same position, from the traces of the lowest seed."""
+    """shaking.png: what A and B (or else C and D) do on the same position, from the traces of the lowest seed.
+
+    Of the recorded positions it is the one that takes the uniform method longest: an arm that shakes comes to no end.
+    """
     pairs = [(METHODS[0], METHODS[1]), (METHODS[2], METHODS[3])]
     for pair in pairs:
         recorded = [[run / _TRACES for run in runs[method.folder] if (run / _TRACES).exists()] for method in pair]
         if all(recorded):
             traces = {method: pd.DataFrame(read(paths[0], TRACES)) for method, paths in zip(pair, recorded, strict=True)}
-            common = set.intersection(*(set(trace["position"]) for trace in traces.values()))
+            common = sorted(set.intersection(*(set(trace["position"]) for trace in traces.values())))
             if common:
-                chosen = {method: trace[trace["position"] == min(common)] for method, trace in traces.items()}
-                picture = figures.picture(lambda figure: figures.draw_shaking(figure, chosen, position=int(min(common))))  # noqa: B023
+                durations_s = traces[pair[1]].groupby("position")["time_s"].max()
+                position = int(durations_s[common].idxmax())
+                chosen = {method: trace[trace["position"] == position] for method, trace in traces.items()}
+                picture = figures.picture(lambda figure: figures.draw_shaking(figure, chosen, position=position))  # noqa: B023
                 return Section({"shaking.png": picture})
     missing = f"no shaking.png: {_TRACES} is missing for A and B"
     return Section(remarks=[f"{missing}; record with `uarm-rl evaluate traces=3 overwrite=true`"])
