@@ -48,7 +48,7 @@ def add_progress(results: Path, name: str, seed: int, *rates: str, steps_per_dec
     rows = [
         {"episode": episode, "experiences": 200 * episode, "control_steps": 400 * steps_per_decision * episode}
         | {"updates": 200 * episode - 100, "decisions": 400 * episode, "episode_return": -episode}
-        | {"validation_success_rate": rate}
+        | {"validation_success_rate": rate, "successes": 1, "object_losses": 0, "object_moved_m": 0.003}
         for episode, rate in enumerate(rates, start=1)
     ]
     write(results / NAMES.get(name, name) / f"seed{seed}" / "progress.csv", rows)
@@ -363,7 +363,7 @@ def test_ablations_answer_each_question(tmp_path):
     assert list(rows[0]) == [
         *("question", "run", "setting", "buffer", "seeds", "success_rate", "ci_low", "ci_high"),
         *("object_displacement_m", "object_displacement_low", "object_displacement_high"),
-        *("control_steps_per_decision", "servo_rise_s", "sigma"),
+        *("training_displacement_m", "control_steps_per_decision", "servo_rise_s", "sigma"),
     ]
 
     def of(question: str, column: str) -> list[str]:
@@ -376,14 +376,15 @@ def test_ablations_answer_each_question(tmp_path):
     assert of("servo", "servo_rise_s") == ["0.039", "0.039", "0.163", "0.163", "0.327", "0.327"]
     assert of("servo", "buffer") == ["adaptive", "uniform"] * 3
     assert of("sigma", "sigma") == ["0", "-5", "-20"]
+    assert of("sigma", "training_displacement_m") == ["0.0015"] * 3  # 3 mm in each of two episodes, of four objects
     assert of("constants", "setting") == ["nothing", "nothing", "dwell0.25", "dwell0.25", "gamma0.99"]
     assert of("constants", "success_rate") == ["0.25", "1", "1", "0.5", "0.75"]
     assert of("sigma", "object_displacement_m") == ["0.001", "0.001", "0.0005"]
     markdown = (folder / "ablations.md").read_text()
     assert [line for line in markdown.splitlines() if line.startswith("| sigma-20")] == [
-        "| sigma-20-adaptive | 1 | 75 % (30.1 to 95.4 %) | -20 | 11 | 0.5 |"
+        "| sigma-20-adaptive | 1 | 75 % (30.1 to 95.4 %) | -20 | 11 | 0.5 | 1.5 |"
     ]
-    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell0.25 | 1 | 1.0 |" in markdown.splitlines()
+    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell0.25 | 1 | 1.0 | 1.5 |" in markdown.splitlines()
     pictures = ["halves", "fixed_hold", "servo", "sigma", "constants"]
     assert re.findall(r"!\[.*\]\((.*)\)", markdown) == [f"{picture}.png" for picture in pictures]
     for picture in pictures:

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import pandas as pd
 
 from uarm_rl import figures, statistics, tables
-from uarm_rl.records import PROGRESS, Runs, find_runs, read_evaluations, read_seeds
+from uarm_rl.records import DISTURBANCE, PROGRESS, Runs, find_runs, read_evaluations, read_seeds
 from uarm_rl.tables import Section
 
 ABLATIONS: Final = "ablations"  # below the results folder
@@ -66,8 +66,10 @@ _HEADINGS: Final = {
     "sigma": "Sigma (1/m)",
     "control_steps_per_decision": "Control steps a decision",
     "object_displacement_m": "Object moved (mm)",
+    "training_displacement_m": "Moved while learning (mm an object)",
 }
 _DISPLACEMENT: Final = "object_displacement_m"
+_TRAINING_DISPLACEMENT: Final = "training_displacement_m"
 
 
 def ablations(results_dir: Path) -> Section:
@@ -77,7 +79,8 @@ def ablations(results_dir: Path) -> Section:
         return Section(remarks=["no ablations; `make ablations` trains and evaluates them"])
     runs = find_runs(folder)
     evaluations = read_evaluations(runs)
-    progress = {name: read_seeds(folders, "progress.csv", PROGRESS) for name, folders in runs.items()}
+    columns = {**PROGRESS, **DISTURBANCE}
+    progress = {name: read_seeds(folders, "progress.csv", columns) for name, folders in runs.items()}
     section = Section()
     found: dict[str, pd.DataFrame] = {}
     for name, question in _QUESTIONS.items():
@@ -98,7 +101,8 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
     """What is known of one name's runs: success, what the object suffered, and under which conditions."""
     moved = tables.outcomes(evaluation, _DISPLACEMENT)
     low, high = statistics.bootstrap_interval([moved], [1.0], tables.generator(), resamples=tables.resamples(evaluation))
-    last = progress.groupby("seed").last()
+    last, sums = progress.groupby("seed").last(), progress.groupby("seed")[[*DISTURBANCE]].sum()
+    objects = last["episode"] + sums["successes"] + sums["object_losses"]
     return {
         "run": run,
         "setting": "nothing" if run.endswith("-penalty") else run.rpartition("-")[0],
@@ -107,6 +111,7 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
         _DISPLACEMENT: moved.mean(),
         "object_displacement_low": low,
         "object_displacement_high": high,
+        _TRAINING_DISPLACEMENT: (sums["object_moved_m"] / objects).mean(),
         "control_steps_per_decision": (last["control_steps"] / last["decisions"]).mean(),
         "servo_rise_s": evaluation["servo_rise_s"].mean(),
         "sigma": evaluation["sigma"].mean(),
@@ -149,7 +154,7 @@ def _markdown(found: Mapping[str, pd.DataFrame]) -> str:
     text = []
     for name, table in found.items():
         swept = _QUESTIONS[name].swept
-        further = [*([swept] if swept else []), "control_steps_per_decision", _DISPLACEMENT]
+        further = [*([swept] if swept else []), "control_steps_per_decision", _DISPLACEMENT, _TRAINING_DISPLACEMENT]
         cells = [
             [row["run"], str(row["seeds"]), tables.success_text(row), *(_cell(column, row[column]) for column in further)]
             for row in tables.records(table)
@@ -164,4 +169,4 @@ def _cell(column: str, value: float | str) -> str:
         return value
     if math.isnan(value):
         return "-"
-    return f"{1000.0 * value:.1f}" if column == _DISPLACEMENT else f"{value:.3g}"
+    return f"{1000.0 * value:.1f}" if column.endswith("displacement_m") else f"{value:.3g}"

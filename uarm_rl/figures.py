@@ -179,15 +179,18 @@ def draw_settings(figure: Figure, table: pd.DataFrame) -> None:
 
 
 def draw_sigma_sweep(figure: Figure, table: pd.DataFrame) -> None:
-    """How far the object is moved, and how often the cup arrives, as moving it is punished more."""
-    moved, success = figure.subplots(2, 1, sharex=True)
+    """How far the object is moved, while learning and afterwards, and how often the cup arrives, as that is punished more."""
+    learning, tested, success = figure.subplots(3, 1, sharex=True)
     places = pd.Series(range(len(table)))
+    colour = _BUFFERS["adaptive"]
+    learning.plot(places, 1000.0 * table["training_displacement_m"], color=colour, marker=".")
+    learning.set(ylabel="Moved while learning\n(mm an object)", ylim=(0, None))
     millimetres = 1000.0 * table["object_displacement_m"].to_numpy()
     below = millimetres - 1000.0 * table["object_displacement_low"].to_numpy()
     over = 1000.0 * table["object_displacement_high"].to_numpy() - millimetres
-    moved.errorbar(places, millimetres, yerr=(below.clip(0), over.clip(0)), color=_BUFFERS["adaptive"], marker=".", capsize=2)
-    moved.set(ylabel="Object moved (mm)", ylim=(0, None))
-    _points(success, places, table, _BUFFERS["adaptive"], "")
+    tested.errorbar(places, millimetres, yerr=(below.clip(0), over.clip(0)), color=colour, marker=".", capsize=2)
+    tested.set(ylabel="Moved in the test\n(mm an object)", ylim=(0, None))
+    _points(success, places, table, colour, "")
     success.set_xticks(places, [f"{sigma:g}" for sigma in table["sigma"]])
     success.set(xlabel="Sigma (1/m)")
     _success_axis(success, "Success on the\ntest positions (%)")

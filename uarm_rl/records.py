@@ -91,6 +91,8 @@ PROGRESS: Final[Columns] = {
     "episode_return": _FINITE,
     "validation_success_rate": _RATE_OR_EMPTY,
 }
+#: Further columns of the log, on what the object suffered while the policy learned.
+DISTURBANCE: Final[Columns] = {"successes": _WHOLE, "object_losses": _WHOLE, "object_moved_m": _FINITE}
 TRACES: Final[Columns] = {
     "position": _WHOLE,
     "time_s": _FINITE,
