@@ -1,0 +1,37 @@
+"""The committed results: the report is rebuilt from the runs to the last byte, and the texts quote its tables."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from uarm_rl.report import report
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "results"
+
+
+def written(results: Path) -> dict[str, bytes]:
+    """The tables that a report has written below ``results``; pictures depend on the fonts that are installed."""
+    tables = (path for pattern in ("*", "ablations/*") for path in results.glob(pattern) if path.suffix in (".csv", ".md"))
+    return {str(path.relative_to(results)): path.read_bytes() for path in tables}
+
+
+def test_the_report_is_rebuilt_from_the_committed_runs(tmp_path):
+    rebuilt = tmp_path / "results"
+    committed = written(RESULTS)
+    made = [name for name in committed if name != "paper.csv"]
+    shutil.copytree(RESULTS, rebuilt, ignore=shutil.ignore_patterns("*.safetensors", "*.png", "checkpoint-*"))
+    for name in made:
+        (rebuilt / name).unlink()
+    report(rebuilt)
+    assert {"table1.csv", "table1.md"} <= set(made)
+    assert written(rebuilt) == committed
+
+
+@pytest.mark.parametrize("text", ["README.md", "RESULTS.md"])
+def test_the_texts_quote_the_table_as_it_is(text):
+    table = (RESULTS / "table1.md").read_text().split("\n\n")[0]
+    assert table in (ROOT / text).read_text()
