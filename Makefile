@@ -23,7 +23,6 @@ SEEDS ?= 0,1,2
 CHANGED_SEEDS ?= 0
 METHODS ?= A,B,C,D,real_arm
 ABLATION_EPISODES ?= 300
-# gamma=0.992 below discounts a second as much as 0.9 does when a decision takes 13 control steps.
 SIDE_BY_SIDE ?= hydra/launcher=joblib hydra.launcher.n_jobs=2 simulate_beside=false
 TRAIN = $(BIN)/uarm-rl train -m resume=true $(SIDE_BY_SIDE)
 TRAIN_SHORT = $(TRAIN) results_dir=$(RESULTS)/ablations episodes=$(ABLATION_EPISODES)
@@ -47,6 +46,7 @@ paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the repor
 	$(EVALUATE) policy=ik positions=heldout out=heldout.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
+# gamma=0.992 discounts a second as much as 0.9 does when a decision takes 13 control steps.
 ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 4 hours on two cores
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=A,C,D,steady_only,unstuck_only,fixed_hold $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,20 $(OVERRIDES)

@@ -21,6 +21,7 @@ def usb(device, vid=0x2341, pid=0x0042):
 UARM = usb("/dev/ttyACM0")
 OLD = usb("/dev/ttyACM1", 0x1209, 0xABD1)
 H7 = usb("/dev/ttyACM2", 0x37C5, 0x1204)
+UNKNOWN = usb("/dev/ttyACM4", 0x37C5, 0x9999)  # a camera of a later year
 BARE = usb("/dev/ttyS0", None, None)
 
 
@@ -50,7 +51,7 @@ def test_none_or_several(device, present, words):
         find_port(device, present)
 
 
-@pytest.mark.parametrize(("device", "there"), [(ARM, H7), (ARM, OLD), (CAMERA, UARM)])
+@pytest.mark.parametrize(("device", "there"), [(ARM, H7), (ARM, OLD), (ARM, UNKNOWN), (CAMERA, UARM)])
 def test_the_other_devices_port_is_refused_before_it_is_opened(device, there, monkeypatch, tmp_path):
     monkeypatch.setattr(serial, "Serial", lambda *_, **__: pytest.fail("opened"))
     alias = tmp_path / "by-id"

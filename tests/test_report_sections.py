@@ -361,9 +361,9 @@ def test_ablations_answer_each_question(tmp_path):
     with open(folder / "ablations.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
-        *("question", "run", "setting", "buffer", "seeds", "success_rate", "ci_low", "ci_high"),
+        *("question", "run", "buffer", "seeds", "success_rate", "ci_low", "ci_high"),
         *("object_displacement_m", "object_displacement_low", "object_displacement_high"),
-        *("training_displacement_m", "control_steps_per_decision", "servo_rise_s", "sigma"),
+        *("training_displacement_m", "control_steps_per_decision", "servo_rise_s", "sigma", "setting"),
     ]
 
     def of(question: str, column: str) -> list[str]:
@@ -378,6 +378,7 @@ def test_ablations_answer_each_question(tmp_path):
     assert of("sigma", "sigma") == ["0", "-5", "-20"]
     assert of("sigma", "training_displacement_m") == ["0.0015"] * 3  # 3 mm in each of two episodes, of four objects
     assert of("constants", "setting") == ["nothing", "nothing", "dwell0.25", "dwell0.25", "gamma0.99"]
+    assert set(of("servo", "setting") + of("sigma", "setting")) == {""}
     assert of("constants", "success_rate") == ["0.25", "1", "1", "0.5", "0.75"]
     assert of("sigma", "object_displacement_m") == ["0.001", "0.001", "0.0005"]
     markdown = (folder / "ablations.md").read_text()

@@ -55,7 +55,7 @@ _QUESTIONS: Final = {
     "constants": _Question(
         "Does what was found hang on the constants that were chosen?",
         ("uniform-penalty", "adaptive-penalty", "dwell*", "damping*", "tolerance*", "gamma*"),
-        "episodes=300 buffer=adaptive,uniform dwell_s=0.25,1 'name=dwell${dwell_s}-${buffer.name}'",
+        "",  # a line for each constant: see the Makefile
         "setting",
     ),
 }
@@ -105,7 +105,6 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
     objects = last["episode"] + sums["successes"] + sums["object_losses"]
     return {
         "run": run,
-        "setting": "nothing" if run.endswith("-penalty") else run.rpartition("-")[0],
         "buffer": "uniform" if "uniform" in run else "adaptive" if "adaptive" in run else run.partition("-")[0],
         **tables.success(evaluation),
         _DISPLACEMENT: moved.mean(),
@@ -120,9 +119,12 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
 
 def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
     """Sweeps from instant to slow and from no punishment to much, the others in the order of the question."""
-    if swept is None or swept == "setting":
-        return table
-    ordered: pd.DataFrame = table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
+    ordered = table
+    if swept == "setting":
+        changed = ["nothing" if run.endswith("-penalty") else run.rpartition("-")[0] for run in table["run"]]
+        ordered = table.assign(setting=changed)
+    elif swept:
+        ordered = table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
     return ordered
 
 
@@ -145,6 +147,8 @@ def _missing(name: str, question: _Question, chosen: Sequence[str], runs: Runs) 
         return []
     if all(any(fnmatch(run, wanted) for run in runs) for wanted in absent):
         command = f"uarm-rl evaluate results_dir=results/{ABLATIONS}"
+    elif not question.train:
+        return [f"ablation {name}, missing: {', '.join(absent)}; `make ablations` makes them"]
     else:
         command = f"uarm-rl train -m {question.train} seed=0,1,2 results_dir=results/{ABLATIONS}"
     return [f"ablation {name}, missing: {', '.join(absent)}; `{command}`, or all of them with `make ablations`"]

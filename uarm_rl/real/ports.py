@@ -42,10 +42,11 @@ class Port(Protocol):
 
 
 class Device(NamedTuple):
-    """A kind of device: its USB vendor and product ids, and what its user is told."""
+    """A kind of device: its USB ids, and what its user is told. ``vendors`` make no other device with a port like it."""
 
     name: str
     ids: frozenset[tuple[int, int]]
+    vendors: frozenset[int]
     plug_in: str
     name_it: str
     rivals: str  # programs that may hold its port
@@ -54,6 +55,7 @@ class Device(NamedTuple):
 ARM: Final = Device(
     "the uArm",
     frozenset({(0x2341, 0x0042)}),  # the Arduino Mega 2560's bridge on the arm's board
+    frozenset(),  # Arduino's boards are many things, cameras among them
     "plug in the USB cable and the power supply",
     "name the arm's port with --port",
     "uArm Studio, a serial monitor",
@@ -64,6 +66,7 @@ CAMERA: Final = Device(
     frozenset(
         {(0x1209, 0xABD1)} | {(0x37C5, product) for product in (0x1202, 0x1203, 0x1204, 0x1205, 0x124A, 0x1060, 0x1206, 0x16E3)}
     ),
+    frozenset({0x1209, 0x37C5}),
     "plug in the camera and wait 6 s",
     "name the camera's port with camera.port=PORT",
     "OpenMV IDE",
@@ -95,9 +98,10 @@ def open_port(device: Device, name: str, *, write_timeout_s: float) -> Port:
 
     A port of the other device is refused before it is opened: opening the arm's restarts the arm.
     """
-    there = {device_at(port) for port in list_ports.comports() if port.device == os.path.realpath(name)}
-    if other := next((known for known in there if known not in (device, None)), None):
-        raise PortError(f"{name} is the port of {other.name}, not of {device.name}; {device.name_it}")
+    other = CAMERA if device is ARM else ARM
+    for port in list_ports.comports():
+        if port.device == os.path.realpath(name) and (device_at(port) is other or port.vid in other.vendors):
+            raise PortError(f"{name} is the port of {other.name}, not of {device.name}; {device.name_it}")
     try:
         # Opening raises DTR: without it an OpenMV believes that nobody listens.
         opened: Port = serial.Serial(name, BAUD, timeout=READ_S, write_timeout=write_timeout_s, exclusive=True)
