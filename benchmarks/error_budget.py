@@ -1,6 +1,6 @@
 """How much imperfection the trials on an arm bear: success against camera error, backlash and latency, emulated.
 
-    python benchmarks/error_budget.py [--policy results/short/real_arm/seed0] [--arms 5] [--trials 10]
+    python benchmarks/error_budget.py [--policy results/real_arm/seed0] [--arms 5] [--trials 10]
 
 Every point is ``arms`` emulated arms, each with errors of its own drawn from ``conf/realism``, times ``trials`` trials
 of ``run-real``'s own loop, in virtual time; all other imperfections stay at ``realism=default``. Writes
@@ -107,7 +107,7 @@ def draw(figure: Figure, points: pd.DataFrame, label: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policy", type=Path, default=Path("results/short/real_arm/seed0"), help="a policy for the arm")
+    parser.add_argument("--policy", type=Path, default=Path("results/real_arm/seed0"), help="a policy for the arm")
     parser.add_argument("--arms", type=int, default=5, help="emulated arms for each point")
     parser.add_argument("--trials", type=int, default=10, help="trials on each arm")
     arguments = parser.parse_args()

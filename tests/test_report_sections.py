@@ -43,10 +43,10 @@ def add_evaluation(
     write(results / NAMES.get(name, name) / f"seed{seed}" / file, rows)
 
 
-def add_progress(results: Path, name: str, seed: int, *rates: str, steps_per_decision: int = 1) -> None:
-    """A log with one episode of 200 experiences for each validation success rate, empty for none."""
+def add_progress(results: Path, name: str, seed: int, *rates: str, steps_per_decision: int = 1, missing: int = 0) -> None:
+    """A log with one episode of 200 experiences, but for ``missing``, for each validation success rate, empty for none."""
     rows = [
-        {"episode": episode, "experiences": 200 * episode, "control_steps": 400 * steps_per_decision * episode}
+        {"episode": episode, "experiences": 200 * episode - missing, "control_steps": 400 * steps_per_decision * episode}
         | {"updates": 200 * episode - 100, "decisions": 400 * episode, "episode_return": -episode}
         | {"validation_success_rate": rate, "successes": 1, "object_losses": 0, "object_moved_m": 0.003}
         for episode, rate in enumerate(rates, start=1)
@@ -394,6 +394,17 @@ def test_ablations_answer_each_question(tmp_path):
     assert "not trained: A (adaptive-plain)" in text
 
 
+def test_the_curve_of_an_ablation_is_one_even_when_a_seed_has_stored_less(tmp_path):
+    for seed, missing in ((0, 0), (1, 20)):
+        add_evaluation(tmp_path / "ablations", "adaptive-penalty", seed, "11")
+        add_progress(tmp_path / "ablations", "adaptive-penalty", seed, "0.2", "", f"0.{6 + 2 * seed}", missing=missing)
+    report(tmp_path)
+    assert lines(tmp_path, "ablations/learning_curves.csv")[1:] == [
+        "adaptive-penalty,1,2,190,0.2,0.2,0.2",
+        "adaptive-penalty,3,2,590,0.7,0.6,0.8",
+    ]
+
+
 def test_ablations_say_what_is_missing_and_the_command_for_it(tmp_path):
     add_evaluation(tmp_path, "A", 0, "11")
     assert "no ablations; `make ablations` trains and evaluates them" in report(tmp_path)
@@ -422,7 +433,7 @@ def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
     assert report(tmp_path) == text
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == first
     written = {str(path.relative_to(tmp_path)) for path in first if "seed" not in str(path.relative_to(tmp_path))}
-    assert len(written) == 20 + 7
+    assert len(written) == 20 + 8
     assert {line for line in text.splitlines() if line.startswith("wrote ")} == {f"wrote {tmp_path / name}" for name in written}
 
 

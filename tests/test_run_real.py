@@ -459,7 +459,7 @@ TARGET = ("--target", 0.2, 0.05, 0.03)
     [
         (["port=/dev/nowhere", *TARGET, *FAST[2:]], 1, ["there is no port /dev/nowhere"]),
         ([*TARGET, *FAST[2:]], 1, ["no serial port has the USB id of the uArm", "--port"]),
-        (["port=PORT", *TARGET], 2, ["there is no policy results/short/real_arm/seed0", "--policy", "experiment=real_arm"]),
+        (["port=PORT", *TARGET], 2, ["there is no policy results/real_arm/seed0", "--policy", "experiment=real_arm"]),
         (["port=PORT", *TARGET, "policy=wide"], 1, ["action scale", "max_delta_rad", "0.25, got 0.3"]),
         (["port=PORT", *TARGET, "policy=poor"], 1, ["lacks", "tolerance_m"]),
         (["port=PORT", *TARGET, "policy=torn/policy.safetensors"], 1, ["truncated, damaged"]),

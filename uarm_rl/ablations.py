@@ -70,10 +70,11 @@ _HEADINGS: Final = {
 }
 _DISPLACEMENT: Final = "object_displacement_m"
 _TRAINING_DISPLACEMENT: Final = "training_displacement_m"
+_RATE: Final = "validation_success_rate"
 
 
 def ablations(results_dir: Path) -> Section:
-    """ablations.csv and .md, and halves, fixed_hold, servo, sigma and constants.png, all in ``results_dir/ablations``."""
+    """ablations.csv and .md, learning_curves.csv and a picture for each question, all in ``results_dir/ablations``."""
     folder = results_dir / ABLATIONS
     if not folder.is_dir():
         return Section(remarks=["no ablations; `make ablations` trains and evaluates them"])
@@ -81,6 +82,7 @@ def ablations(results_dir: Path) -> Section:
     evaluations = read_evaluations(runs)
     columns = {**PROGRESS, **DISTURBANCE}
     progress = {name: read_seeds(folders, "progress.csv", columns) for name, folders in runs.items()}
+    curves = {run: _curve(rows) for run, rows in progress.items()}
     section = Section()
     found: dict[str, pd.DataFrame] = {}
     for name, question in _QUESTIONS.items():
@@ -89,12 +91,20 @@ def ablations(results_dir: Path) -> Section:
         if chosen:
             rows = [_row(run, evaluations[run], progress[run]) for run in chosen]
             found[name] = _ordered(pd.DataFrame(rows), question.swept)
-            section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question.swept, found[name], progress)
+            section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question.swept, found[name], curves)
     if found:
         stacked = pd.concat([table.assign(question=name) for name, table in found.items()])
         section.contents[f"{ABLATIONS}/ablations.csv"] = tables.csv(stacked[["question", *stacked.columns.drop("question")]])
         section.contents[f"{ABLATIONS}/ablations.md"] = _markdown(found).encode()
+        learning = pd.concat(curve.assign(run=run) for run, curve in curves.items())
+        section.contents[f"{ABLATIONS}/learning_curves.csv"] = tables.csv(learning[["run", *learning.columns.drop("run")]])
     return section
+
+
+def _curve(progress: pd.DataFrame) -> pd.DataFrame:
+    """Validation success over seeds, episode by episode: seeds that were cut short have stored a few experiences less."""
+    validated = progress.dropna(subset=[_RATE])
+    return tables.over_seeds(validated, "episode", [_RATE], experiences=("experiences", "mean"))
 
 
 def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str, Any]:
@@ -128,16 +138,14 @@ def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
     return ordered
 
 
-def _picture(swept: str | None, table: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> bytes:
+def _picture(swept: str | None, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> bytes:
     if swept == "servo_rise_s":
         return figures.picture(lambda figure: figures.draw_servo_sweep(figure, table), 2.6)
     if swept == "sigma":
         return figures.picture(lambda figure: figures.draw_sigma_sweep(figure, table))
     if swept == "setting":
         return figures.picture(lambda figure: figures.draw_settings(figure, table), 2.6)
-    rate = "validation_success_rate"
-    curves = {run: tables.over_seeds(progress[run].dropna(subset=[rate]), "experiences", [rate]) for run in table["run"]}
-    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, rate))
+    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE))
 
 
 def _missing(name: str, question: _Question, chosen: Sequence[str], runs: Runs) -> list[str]:

@@ -96,7 +96,7 @@ def draw_holds(figure: Figure, table: pd.DataFrame) -> None:
         x, y = tested.index(row["tested_hold"]), labels.index(row["method"])
         colour = "black" if row["success_rate"] > 0.5 else "white"
         weight = "bold" if row["tested_hold"] == row["trained_hold"] else "normal"
-        axes.text(x, y, f"{100 * row['success_rate']:.3g} %", ha="center", va="center", color=colour, weight=weight)
+        axes.text(x, y, tables.percent(row["success_rate"]), ha="center", va="center", color=colour, weight=weight)
     axes.set_xticks(range(len(tested)), tested)
     axes.set_yticks(range(len(labels)), labels)
     axes.grid(visible=False)

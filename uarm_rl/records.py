@@ -45,6 +45,8 @@ METHODS: Final = (
     Method("D", "uniform-penalty", "uniform", "penalty", "#CC79A7"),
 )
 INVERSE_KINEMATICS: Final = Method("IK", "ik")
+#: Method C trained against the firmware's own motion.
+REAL_ARM: Final = Method("real_arm", "real_arm", "adaptive", "penalty")
 
 #: Columns that say how restless an arm is: heading in the printed tables, factor to the heading's unit, decimals.
 SHAKING: Final = {
@@ -130,9 +132,9 @@ def seed_number(folder: Path) -> int:
 
 def methods(runs: Runs) -> list[Method]:
     """The paper's four, run or not; then whatever else was run."""
-    known = {method.folder for method in (*METHODS, INVERSE_KINEMATICS)}
-    reference = [INVERSE_KINEMATICS] if INVERSE_KINEMATICS.folder in runs else []
-    return [*METHODS, *reference, *(Method(folder, folder) for folder in sorted(set(runs) - known))]
+    others = [method for method in (INVERSE_KINEMATICS, REAL_ARM) if method.folder in runs]
+    known = {method.folder for method in (*METHODS, *others)}
+    return [*METHODS, *others, *(Method(folder, folder) for folder in sorted(set(runs) - known))]
 
 
 def read_seeds(folders: Sequence[Path], file: str, columns: Columns) -> pd.DataFrame:
