@@ -87,7 +87,7 @@ def draw_tolerance(figure: Figure, methods: Sequence[Method], table: pd.DataFram
 
 
 def draw_holds(figure: Figure, table: pd.DataFrame) -> None:
-    """Success of each method under each hold; a frame marks the one it was trained with."""
+    """Success of each method under each hold; bold is the one it was trained with."""
     axes = figure.subplots()
     labels, tested = (list(dict.fromkeys(table[column])) for column in ("method", "tested_hold"))
     rates = table.pivot(index="method", columns="tested_hold", values="success_rate").loc[labels, tested]
