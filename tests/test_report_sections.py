@@ -377,20 +377,20 @@ def test_ablations_answer_each_question(tmp_path):
     assert of("servo", "buffer") == ["adaptive", "uniform"] * 3
     assert of("sigma", "sigma") == ["0", "-5", "-20"]
     assert of("sigma", "training_displacement_m") == ["0.0015"] * 3  # 3 mm in each of two episodes, of four objects
-    assert of("constants", "setting") == ["nothing", "nothing", "dwell0.25", "dwell0.25", "gamma0.99"]
+    assert of("constants", "setting") == ["nothing", "nothing", "gamma 0.99", "dwell 0.25", "dwell 0.25"]
     assert set(of("servo", "setting") + of("sigma", "setting")) == {""}
-    assert of("constants", "success_rate") == ["0.25", "1", "1", "0.5", "0.75"]
+    assert of("constants", "success_rate") == ["0.25", "1", "0.75", "1", "0.5"]
     assert of("sigma", "object_displacement_m") == ["0.001", "0.001", "0.0005"]
     markdown = (folder / "ablations.md").read_text()
     assert [line for line in markdown.splitlines() if line.startswith("| sigma-20")] == [
         "| sigma-20-adaptive | 1 | 75 % (30.1 to 95.4 %) | -20 | 11 | 0.5 | 1.5 |"
     ]
-    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell0.25 | 1 | 1.0 | 1.5 |" in markdown.splitlines()
+    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell 0.25 | 1 | 1.0 | 1.5 |" in markdown.splitlines()
     pictures = ["halves", "fixed_hold", "servo", "sigma", "constants"]
     assert re.findall(r"!\[.*\]\((.*)\)", markdown) == [f"{picture}.png" for picture in pictures]
     for picture in pictures:
         assert (folder / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
-    assert ["damping*, tolerance*" in remark for remark in remarks(text, "ablation ")] == [True]
+    assert ["tolerance*, damping*, beta*, threshold*" in remark for remark in remarks(text, "ablation ")] == [True]
     assert "not trained: A (adaptive-plain)" in text
 
 

@@ -54,7 +54,7 @@ _QUESTIONS: Final = {
     ),
     "constants": _Question(
         "Does what was found hang on the constants that were chosen?",
-        ("uniform-penalty", "adaptive-penalty", "dwell*", "damping*", "tolerance*", "gamma*"),
+        ("uniform-penalty", "adaptive-penalty", "gamma*", "tolerance*", "dwell*", "damping*", "beta*", "threshold*"),
         "",  # a line for each constant: see the Makefile
         "setting",
     ),
@@ -131,7 +131,8 @@ def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
     """Sweeps from instant to slow and from no punishment to much, the others in the order of the question."""
     ordered = table
     if swept == "setting":
-        changed = ["nothing" if run.endswith("-penalty") else run.rpartition("-")[0] for run in table["run"]]
+        names = table["run"].str.rpartition("-")[0].str.replace(r"(?<=[a-z])(?=\d)", " ", regex=True)
+        changed = names.mask(table["run"].str.endswith("-penalty"), "nothing")
         ordered = table.assign(setting=changed)
     elif swept:
         ordered = table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
