@@ -18,14 +18,13 @@ ABLATIONS: Final = "ablations"  # below the results folder
 
 
 class _Question(NamedTuple):
-    """``runs`` are names or patterns of names, in the order of the table; ``train`` are the options that train them.
+    """``runs`` are names or patterns of names, in the order of the table.
 
     ``swept`` is the column that a sweep varies; its table and figure go by it.
     """
 
     title: str
     runs: tuple[str, ...]
-    train: str
     swept: str | None = None
 
 
@@ -33,29 +32,24 @@ _QUESTIONS: Final = {
     "halves": _Question(
         "Waiting until steady, or leaving out stuck transitions: which half of the adaptive buffer does it?",
         ("uniform-penalty", "unstuck_only-penalty", "steady_only-penalty", "adaptive-penalty"),
-        "experiment=C,D,steady_only,unstuck_only episodes=300",
     ),
     "fixed_hold": _Question(
         "Is it the adaptivity, or just a longer hold?",
         ("uniform-penalty", "fixed_hold-penalty", "adaptive-penalty"),
-        "experiment=C,D,fixed_hold episodes=300",
     ),
     "servo": _Question(
         "From which response time of the servo on does waiting win?",
         ("instant-*-penalty", "servo*-penalty", "uniform-penalty", "adaptive-penalty"),
-        "experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,20",
         "servo_rise_s",
     ),
     "sigma": _Question(
         "How hard must moving the object be punished, and what does it cost?",
         ("adaptive-plain", "sigma*", "adaptive-penalty"),
-        "experiment=sigma reward.sigma=-1,-20",
         "sigma",
     ),
     "constants": _Question(
         "Does what was found hang on the constants that were chosen?",
         ("uniform-penalty", "adaptive-penalty", "gamma*", "tolerance*", "dwell*", "damping*", "beta*", "threshold*"),
-        "",  # a line for each constant: see the Makefile
         "setting",
     ),
 }
@@ -154,13 +148,9 @@ def _missing(name: str, question: _Question, chosen: Sequence[str], runs: Runs) 
     absent = [wanted for wanted in question.runs if not any(fnmatch(run, wanted) for run in chosen)]
     if not absent:
         return []
-    if all(any(fnmatch(run, wanted) for run in runs) for wanted in absent):
-        command = f"uarm-rl evaluate results_dir=results/{ABLATIONS}"
-    elif not question.train:
-        return [f"ablation {name}, missing: {', '.join(absent)}; `make ablations` makes them"]
-    else:
-        command = f"uarm-rl train -m {question.train} seed=0,1,2 results_dir=results/{ABLATIONS}"
-    return [f"ablation {name}, missing: {', '.join(absent)}; `{command}`, or all of them with `make ablations`"]
+    trained = all(any(fnmatch(run, wanted) for run in runs) for wanted in absent)
+    command = f"uarm-rl evaluate results_dir=results/{ABLATIONS}" if trained else "make ablations"
+    return [f"ablation {name}, missing: {', '.join(absent)}; `{command}` makes them"]
 
 
 def _markdown(found: Mapping[str, pd.DataFrame]) -> str:

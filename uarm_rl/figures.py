@@ -70,6 +70,8 @@ def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str
         _mark_empty(axes, "no data of A, B, C or D")
     _success_axis(above, "Success on validation positions (%)")
     below.set(ylabel=f"Return of a training episode\n(own reward, mean of {smoothed_over} episodes)")
+    below.set_yscale("symlog", linthresh=10.0)  # the first episodes go far down
+    below.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     below.set(xlabel="Stored experiences (thousands)")
     below.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
 
