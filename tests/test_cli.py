@@ -119,6 +119,16 @@ def test_positions_of_ones_own(trained):
     assert "of 2 positions reached" in done.stdout, done.stderr
 
 
+def test_another_time_limit(trained):
+    run = "run=results/uniform-plain/seed0"
+    assert_refused(uarm_rl("evaluate", run, "time_limit_s=1", cwd=trained), 2, "time_limit_s changes the test", "out=FILE")
+    assert_refused(uarm_rl("evaluate", run, "time_limit_s=0", "out=short.csv", cwd=trained), 2, "time_limit_s must be")
+    done = uarm_rl("evaluate", run, "time_limit_s=1", "out=short.csv", cwd=trained)
+    assert "0 of 100 positions reached" in done.stdout, done.stderr
+    with open(trained / "short.csv", newline="") as file:
+        assert {row["time_s"] for row in csv.DictReader(file)} == {"1"}
+
+
 def test_the_report_is_rebuilt_from_csv_files(copied):
     for path in copied.rglob("policy.safetensors"):
         path.unlink()

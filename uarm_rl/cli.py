@@ -359,7 +359,7 @@ def evaluate(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
     results_dir = _path(settings, "results_dir")
     changed = ["positions"] if settings["positions"] != "test" else []
-    changed += [key for key in ("tolerance_m", "hold") if settings.get(key) is not None]
+    changed += [key for key in ("tolerance_m", "time_limit_s", "hold") if settings.get(key) is not None]
     file = checks.text("out", settings["out"] or "evaluation.csv")
     if changed and (not settings["out"] or (file == "evaluation.csv" and not settings["run"])):
         raise UsageError(
@@ -409,8 +409,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
 
     if out.exists() and not settings["overwrite"]:
         raise UsageError(f"{out} exists already; overwrite=true replaces it, out=FILE writes elsewhere")
-    if settings["tolerance_m"] is not None:
-        run_settings = run_settings | {"tolerance_m": settings["tolerance_m"]}
+    run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
     where = positions.load_named(str(settings["positions"]))
