@@ -49,7 +49,7 @@ paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the repor
 # gamma=0.992 discounts a second as much as 0.9 does when a decision takes 13 control steps.
 ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 4 hours on two cores
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=A,C,D,steady_only,unstuck_only,fixed_hold $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,20 $(OVERRIDES)
+	$(TRAIN_SHORT) seed=$(SEEDS) experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,14,20 $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=instant buffer=adaptive,uniform $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=sigma reward.sigma=-1,-20 $(OVERRIDES)
 	$(TRAIN_CHANGED) dwell_s=0.25,1 'name=dwell$${dwell_s}-$${buffer.name}' $(OVERRIDES)
