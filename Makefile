@@ -47,7 +47,7 @@ paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the repor
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
 # gamma=0.992 discounts a second as much as 0.9 does when a decision takes 13 control steps.
-ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 3 hours on two cores
+ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 4 hours on two cores
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=A,C,D,steady_only,unstuck_only,fixed_hold $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,14,20 $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=instant buffer=adaptive,uniform $(OVERRIDES)
