@@ -394,6 +394,23 @@ def test_ablations_answer_each_question(tmp_path):
     assert "not trained: A (adaptive-plain)" in text
 
 
+def test_the_choice_of_constants_sees_validation_positions_of_both_methods_alone(tmp_path):
+    ends = {"uniform-penalty": 0.1, "adaptive-penalty": 0.9, "beta1-uniform": 0.3, "beta1-adaptive": 0.8, "beta3-uniform": 0.6}
+    for name, end in ends.items():
+        for seed in (0, 1):
+            shift = 0.0 if "adaptive" in name else 0.04 * seed
+            rates = ["1", *(f"{end + shift + spread:g}" for spread in (-0.05, 0.05, 0.0))]
+            add_evaluation(tmp_path / "ablations", name, seed, "0000")
+            add_progress(tmp_path / "ablations", name, seed, *rates)
+    report(tmp_path)
+    assert lines(tmp_path, "ablations/choice.csv") == [
+        "setting,seeds,adaptive,uniform,score,standard_error",
+        "nothing,2,0.9,0.12,0.51,0.01",
+        "beta 1,2,0.8,0.32,0.56,0.01",
+    ]
+    assert "| beta 1 | 2 | 80 % | 32 % | 56 % | 1 % |" in (tmp_path / "ablations" / "choice.md").read_text()
+
+
 def test_the_curve_of_an_ablation_is_one_even_when_a_seed_has_stored_less(tmp_path):
     for seed, missing in ((0, 0), (1, 20)):
         add_evaluation(tmp_path / "ablations", "adaptive-penalty", seed, "11")
@@ -433,7 +450,7 @@ def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
     assert report(tmp_path) == text
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == first
     written = {str(path.relative_to(tmp_path)) for path in first if "seed" not in str(path.relative_to(tmp_path))}
-    assert len(written) == 20 + 8
+    assert len(written) == 20 + 10
     assert {line for line in text.splitlines() if line.startswith("wrote ")} == {f"wrote {tmp_path / name}" for name in written}
 
 

@@ -65,6 +65,8 @@ _HEADINGS: Final = {
 _DISPLACEMENT: Final = "object_displacement_m"
 _TRAINING_DISPLACEMENT: Final = "training_displacement_m"
 _RATE: Final = "validation_success_rate"
+_BOTH: Final = ("adaptive", "uniform")
+_LAST_VALIDATIONS: Final = 3  # their mean is the end of a run: one validation has 50 positions
 
 
 def ablations(results_dir: Path) -> Section:
@@ -86,6 +88,9 @@ def ablations(results_dir: Path) -> Section:
             rows = [_row(run, evaluations[run], progress[run]) for run in chosen]
             found[name] = _ordered(pd.DataFrame(rows), question.swept)
             section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question.swept, found[name], curves)
+    if "constants" in found and len(choice := _choice(found["constants"], progress)):
+        section.contents[f"{ABLATIONS}/choice.csv"] = tables.csv(choice)
+        section.contents[f"{ABLATIONS}/choice.md"] = _choice_markdown(choice).encode()
     if found:
         stacked = pd.concat([table.assign(question=name) for name, table in found.items()])
         section.contents[f"{ABLATIONS}/ablations.csv"] = tables.csv(stacked[["question", *stacked.columns.drop("question")]])
@@ -120,6 +125,45 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
         "servo_rise_s": evaluation["servo_rise_s"].median(),
         "sigma": evaluation["sigma"].median(),
     }
+
+
+def _choice(constants: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """How well both methods end on the validation positions with each constant, the only ones a choice may look at.
+
+    ``score`` is the mean of the two methods, and ``standard_error`` its spread over the seeds that both have.
+    """
+    names = zip(constants["run"], constants["setting"], constants["buffer"], strict=True)
+    ends = [_end(progress[run]).assign(setting=setting, buffer=buffer) for run, setting, buffer in names]
+    rates = pd.concat(ends).pivot_table(index=["setting", "seed"], columns="buffer", values=_RATE, sort=False)
+    both = rates.reindex(columns=[*_BOTH]).dropna()
+    columns = {name: (name, "mean") for name in (*_BOTH, "score")}
+    choice: pd.DataFrame = (
+        both.assign(score=both.mean(axis=1))
+        .groupby("setting", sort=False)
+        .agg(seeds=("score", "size"), **columns, standard_error=("score", "sem"))
+        .reset_index()
+    )
+    return choice
+
+
+def _end(progress: pd.DataFrame) -> pd.DataFrame:
+    """The validation success at the end of each seed's run."""
+    last = progress.dropna(subset=[_RATE]).groupby("seed").tail(_LAST_VALIDATIONS)
+    end: pd.DataFrame = last.groupby("seed", as_index=False)[[_RATE]].mean()
+    return end
+
+
+def _choice_markdown(choice: pd.DataFrame) -> str:
+    rates = [*_BOTH, "score", "standard_error"]
+    cells = [
+        [row["setting"], str(row["seeds"]), *(tables.percent(row[rate]) for rate in rates)] for row in tables.records(choice)
+    ]
+    headings = ("Changed", "Seeds", "Adaptive", "Uniform", "Score", "Standard error")
+    words = (
+        f"Success on the validation positions, mean of the last {_LAST_VALIDATIONS} validations of each run. "
+        "The score is the mean of both methods; its standard error is over seeds."
+    )
+    return f"{tables.markdown(headings, cells)}\n{words}\n"
 
 
 def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
