@@ -340,6 +340,7 @@ def add_ablations(results: Path) -> None:
         "fixed_hold-penalty": ("1101", {"hold": "fixed(11)"}),
         "servo-10-uniform-penalty": ("0111", {"servo_rise_s": "0.163"}),
         "servo-10-adaptive-penalty": ("1111", {"servo_rise_s": "0.163"}),
+        "long-servo-10-uniform-penalty": ("1111", {"servo_rise_s": "0.163"}),
         "instant-uniform-penalty": ("1111", {"servo_rise_s": "0.039"}),
         "instant-adaptive-penalty": ("1111", {"servo_rise_s": "0.039"}),
         "adaptive-plain": ("1111", {"sigma": "0"}),
@@ -373,8 +374,9 @@ def test_ablations_answer_each_question(tmp_path):
     assert of("halves", "success_rate") == ["0.25", "0.5", "0.75", "1"]
     assert of("fixed_hold", "buffer") == ["uniform", "fixed_hold", "adaptive"]
     assert of("fixed_hold", "control_steps_per_decision") == ["1", "11", "11"]
-    assert of("servo", "servo_rise_s") == ["0.039", "0.039", "0.163", "0.163", "0.327", "0.327"]
-    assert of("servo", "buffer") == ["adaptive", "uniform"] * 3
+    assert of("servo", "servo_rise_s") == ["0.039", "0.039", "0.163", "0.163", "0.163", "0.327", "0.327"]
+    both = ["adaptive", "uniform"]
+    assert of("servo", "buffer") == [*both, *both, "uniform, 2 episodes", *both]
     assert of("sigma", "sigma") == ["0", "-5", "-20"]
     assert of("sigma", "training_displacement_m") == ["0.0015"] * 3  # 3 mm in each of two episodes, of four objects
     assert of("constants", "setting") == ["nothing", "nothing", "gamma 0.99", "dwell 0.25", "dwell 0.25"]

@@ -39,7 +39,7 @@ _QUESTIONS: Final = {
     ),
     "servo": _Question(
         "From which response time of the servo on does waiting win?",
-        ("instant-*-penalty", "servo*-penalty", "uniform-penalty", "adaptive-penalty"),
+        ("instant-*-penalty", "servo*-penalty", "uniform-penalty", "adaptive-penalty", "long-servo*-penalty"),
         "servo_rise_s",
     ),
     "sigma": _Question(
@@ -111,10 +111,13 @@ def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str
     moved = tables.outcomes(evaluation, _DISPLACEMENT)
     low, high = statistics.bootstrap_interval([moved], [1.0], tables.generator(), resamples=tables.resamples(evaluation))
     last, sums = progress.groupby("seed").last(), progress.groupby("seed")[[*DISTURBANCE]].sum()
+    buffer = "uniform" if "uniform" in run else "adaptive" if "adaptive" in run else run.partition("-")[0]
+    if run.startswith("long-"):
+        buffer += f", {last['episode'].max():g} episodes"
     objects = last["episode"] + sums["successes"] + sums["object_losses"]
     return {
         "run": run,
-        "buffer": "uniform" if "uniform" in run else "adaptive" if "adaptive" in run else run.partition("-")[0],
+        "buffer": buffer,
         **tables.success(evaluation),
         _DISPLACEMENT: moved.mean(),
         "object_displacement_low": low,
