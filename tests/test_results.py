@@ -6,10 +6,13 @@ import re
 import shutil
 from pathlib import Path
 
+import pytest
+
 from uarm_rl.report import report
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
+REPORTS = [RESULTS, RESULTS / "beta0.3"]
 
 
 def written(results: Path) -> dict[str, bytes]:
@@ -18,11 +21,12 @@ def written(results: Path) -> dict[str, bytes]:
     return {str(path.relative_to(results)): path.read_bytes() for path in tables}
 
 
-def test_the_report_is_rebuilt_from_the_committed_runs(tmp_path):
+@pytest.mark.parametrize("results", REPORTS, ids=lambda folder: folder.name)
+def test_the_report_is_rebuilt_from_the_committed_runs(results, tmp_path):
     rebuilt = tmp_path / "results"
-    committed = written(RESULTS)
+    committed = written(results)
     made = [name for name in committed if name != "paper.csv"]
-    shutil.copytree(RESULTS, rebuilt, ignore=shutil.ignore_patterns("*.safetensors", "*.png", "checkpoint-*"))
+    shutil.copytree(results, rebuilt, ignore=shutil.ignore_patterns("*.safetensors", "*.png", "checkpoint-*"))
     for name in made:
         (rebuilt / name).unlink()
     report(rebuilt)
@@ -36,7 +40,8 @@ def tables(text: str) -> list[str]:
 
 
 def test_the_texts_quote_the_tables_as_they_are():
-    made = {table for path in [*RESULTS.glob("*.md"), *RESULTS.glob("ablations/*.md")] for table in tables(path.read_text())}
+    folders = [*REPORTS, RESULTS / "ablations"]
+    made = {table for folder in folders for path in folder.glob("*.md") for table in tables(path.read_text())}
     quoted = tables((ROOT / "RESULTS.md").read_text())
     first = (RESULTS / "table1.md").read_text().split("\n\n")[0] + "\n"
     assert first in quoted
