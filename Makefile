@@ -59,7 +59,7 @@ ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works,
 	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) tolerance_m=0.01 'name=tolerance$${tolerance_m}-$${buffer.name}' $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) dwell_s=0.25,1 'name=dwell$${dwell_s}-$${buffer.name}' $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) servo.damping=0.3,0.8 'name=damping$${servo.damping}-$${buffer.name}' $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) reward.beta=0.3,1,3,30 'name=beta$${reward.beta}-$${buffer.name}' $(OVERRIDES)
+	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) reward.beta=0.1,0.3,1,3,30 'name=beta$${reward.beta}-$${buffer.name}' $(OVERRIDES)
 	$(TRAIN_SHORT) seed=$(SEEDS) experiment=C buffer.hold.steady_threshold_rad=0.002 'name=threshold0.002-$${buffer.name}' $(OVERRIDES)
 	$(BIN)/uarm-rl evaluate results_dir=$(RESULTS)/ablations overwrite=true
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)

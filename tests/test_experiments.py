@@ -51,7 +51,7 @@ def test_no_two_runs_share_a_folder():
     folders = [
         f"{run['results_dir']}/{run['name']}/seed{run['seed']}" for run in (cli.compose("train", job) for job in trained)
     ]
-    assert len(set(folders)) == len(folders) == 3 * (5 + 6 + 8 + 1 + 2 + 2 + 2 + 2 + 4 + 4 + 8 + 1)
+    assert len(set(folders)) == len(folders) == 3 * (5 + 6 + 8 + 1 + 2 + 2 + 2 + 2 + 4 + 4 + 10 + 1)
 
 
 def test_the_papers_runs_are_the_papers():
