@@ -136,7 +136,8 @@ def test_the_dwell_counts_the_arms_time():
         begun_s = arm.time_s()
         flag = False
         while not flag:
-            flag = env.step(np.zeros(3, np.float32))[2]
+            _, _, flag, truncated, _ = env.step(np.zeros(3, np.float32))
+            assert not truncated
         assert 0.45 <= arm.time_s() - begun_s < 1.5
 
 
@@ -602,6 +603,7 @@ def test_signals_end_it_with_the_pump_off_and_the_arm_parked(served, tmp_path, n
     words = [sys.executable, "-m", "uarm_rl.cli", "run-real", "--port", server.path, *TARGET, "--trials", "999", *FAST]
     process = subprocess.Popen(list(map(str, words)), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while b"M2231 V1" not in firmware.heard:
+        assert process.poll() is None, process.communicate()
         time.sleep(0.001)
     for number in numbers:
         os.kill(process.pid, number)

@@ -63,6 +63,8 @@ def draw_rewards(figure: Figure, methods: Sequence[Method], curves: Mapping[str,
 
 def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame], *, smoothed_over: int) -> None:
     """How success on the validation positions and the return of training grow with the stored experiences."""
+    from matplotlib.ticker import SymmetricalLogLocator
+
     above, below = figure.subplots(2, 1, sharex=True)
     for axes, value in ((above, "validation_success_rate"), (below, "smoothed_return")):
         for method in methods:
@@ -71,6 +73,7 @@ def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str
     _success_axis(above, "Success on validation positions (%)")
     below.set(ylabel=f"Return of a training episode\n(own reward, mean of {smoothed_over} episodes)")
     below.set_yscale("symlog", linthresh=10.0)  # the first episodes go far down
+    below.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=10.0, subs=(1.0, 2.0, 5.0)))
     below.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     below.set(xlabel="Stored experiences (thousands)")
     below.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
