@@ -188,20 +188,26 @@ def test_held_out_positions_beside_the_test_positions(tmp_path):
     add_evaluation(tmp_path, "A", 1, "11")
     add_evaluation(tmp_path, "A", 1, "1110", "heldout.csv")
     add_evaluation(tmp_path, "B", 0, "10")
+    add_evaluation(tmp_path, "IK", 0, "11")
+    add_evaluation(tmp_path, "IK", 0, "1110", "heldout.csv")
     text = report(tmp_path)
     test, held_out = statistics.wilson_interval(2, 2), statistics.wilson_interval(3, 4)
     assert lines(tmp_path, "heldout.csv") == [
         "method,positions,count,seeds,success_rate,ci_low,ci_high,return,common_return",
         f"A,test,2,2,1,{test[0]:.6g},{test[1]:.6g},-1.5,-2.5",
         f"A,held-out,4,1,0.75,{held_out[0]:.6g},{held_out[1]:.6g},-2,-2.5",
+        f"IK,test,2,1,1,{test[0]:.6g},{test[1]:.6g},,-2.5",
+        f"IK,held-out,4,1,0.75,{held_out[0]:.6g},{held_out[1]:.6g},,-2.5",
     ]
     assert lines(tmp_path, "heldout.md") == [
         "| Method | Positions | Seeds | Success (95 % interval) | Return (own reward) | Return (same reward) |",
         "| --- | --- | ---: | ---: | ---: | ---: |",
         "| A | 2 test | 2 | 100 % (34.2 to 100 %) | -1.50 | -2.50 |",
         "| A | 4 held-out | 1 | 75 % (30.1 to 95.4 %) | -2.00 | -2.50 |",
+        "| IK | 2 test | 1 | 100 % (34.2 to 100 %) | - | -2.50 |",
+        "| IK | 4 held-out | 1 | 75 % (30.1 to 95.4 %) | - | -2.50 |",
     ]
-    assert "heldout.csv (2 of 3 runs)" in remarks(text, "held-out positions, missing")[0]
+    assert "heldout.csv (2 of 4 runs)" in remarks(text, "held-out positions, missing")[0]
 
 
 def test_train_hold_by_test_hold(tmp_path):

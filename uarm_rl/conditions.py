@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -45,7 +46,10 @@ def held_out(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Se
     rows: list[dict[str, Any]] = [
         {"method": method.label, "positions": name, "count": evaluation["position"].nunique()}
         | tables.success(evaluation)
-        | {value: evaluation[value].mean() for value in ("return", "common_return")}
+        | {
+            "return": evaluation["return"].mean() if method.reward else math.nan,  # IK has none of its own
+            "common_return": evaluation["common_return"].mean(),
+        }
         for method in methods
         if len(held_out[method.folder])
         for name, evaluation in (("test", standard[method.folder]), ("held-out", held_out[method.folder]))
@@ -59,7 +63,7 @@ def held_out(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Se
                 f"{row['count']} {row['positions']}",
                 str(row["seeds"]),
                 tables.success_text(row),
-                f"{row['return']:.2f}",
+                "-" if math.isnan(row["return"]) else f"{row['return']:.2f}",
                 f"{row['common_return']:.2f}",
             ]
             for row in rows
