@@ -34,14 +34,15 @@ import stable_baselines3
 import torch
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
-import uarm_rl.env
-from uarm_rl import cli, observation, positions
-from uarm_rl.evaluate import evaluate, measure
-from uarm_rl.pipeline import InlineEnv, SubprocessEnv
-from uarm_rl.policy import InverseKinematicsPolicy
-from uarm_rl.replay import ReplayBuffer
-from uarm_rl.session import Snapshot
-from uarm_rl.train import Counters, Stop, train
+import uarm_rl.task.env
+from uarm_rl import configuration
+from uarm_rl.evaluation.evaluate import evaluate, measure
+from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
+from uarm_rl.learn.replay import ReplayBuffer
+from uarm_rl.learn.run import Snapshot
+from uarm_rl.learn.train import Counters, Stop, train
+from uarm_rl.task import observation, positions
+from uarm_rl.task.policy import InverseKinematicsPolicy
 
 HERE = Path(__file__).parent
 BATCH = 128
@@ -90,8 +91,8 @@ def repeat(work: Callable[[], object], count: int) -> tuple[Callable[[], None], 
 
 
 def our_agent():
-    settings = cli.compose("train")
-    return cli.build("agent", settings["agent"], action_size=3, generator=torch.Generator().manual_seed(0))
+    settings = configuration.compose("train")
+    return configuration.build("agent", settings["agent"], action_size=3, generator=torch.Generator().manual_seed(0))
 
 
 def our_replay(capacity: int = 50_000, filled: int = 20_000) -> ReplayBuffer:
@@ -168,8 +169,8 @@ def bench_update(rounds: int) -> Iterator[Row]:
 
 def bench_simulation(rounds: int) -> Iterator[Row]:
     for buffer in ("uniform", "adaptive"):
-        settings = cli.compose("train", (f"buffer={buffer}",))
-        with closing(cli.build_env(settings, time_limit_s=None)) as env:
+        settings = configuration.compose("train", (f"buffer={buffer}",))
+        with closing(configuration.build_env(settings, time_limit_s=None)) as env:
             generator = np.random.default_rng(0)
             env.reset(seed=0)
             steps = 0  # control steps so far
@@ -200,13 +201,13 @@ class OurTraining:
 
     def __init__(self, settings: dict, env_class: type, seed: int = 0) -> None:
         self.counters = Counters()
-        self._env = env_class(partial(cli.build_env, settings, time_limit_s=None), seed)
+        self._env = env_class(partial(configuration.build_env, settings, time_limit_s=None), seed)
         self._agent = our_agent()
         self._replay = ReplayBuffer(
             300_000, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(seed)
         )
-        self._noise = cli.build("noise", settings["noise"], action_size=3, generator=np.random.default_rng(seed))
-        self._admission = cli.build("admission", settings["buffer"]["admission"])
+        self._noise = configuration.build("noise", settings["noise"], action_size=3, generator=np.random.default_rng(seed))
+        self._admission = configuration.build("admission", settings["buffer"]["admission"])
         self(2)
 
     def __call__(self, episodes: int) -> None:
@@ -248,7 +249,7 @@ def bench_training(rounds: int) -> Iterator[Row]:
     Decisions of different policies last differently long, so each row says how long theirs were.
     """
     for buffer, hold in (("uniform", "uniform"), ("steady_only", "adaptive")):
-        settings = cli.compose("train", (f"buffer={buffer}",))
+        settings = configuration.compose("train", (f"buffer={buffer}",))
         make = partial(gymnasium.make, "uarm_rl/UArmSuction-v0", overrides=(f"buffer={buffer}",))
         with (
             closing(OurTraining(settings, InlineEnv)) as inline,
@@ -303,12 +304,12 @@ def bench_side_by_side(rounds: int, episodes: int) -> Iterator[Row]:
 
 
 def bench_evaluation(rounds: int) -> Iterator[Row]:
-    settings = cli.compose("train")
+    settings = configuration.compose("train")
     where = positions.load_packaged("test_positions.csv")
-    reward = cli.build("reward", settings["reward"])
+    reward = configuration.build("reward", settings["reward"])
 
     def run(workers: int) -> None:
-        make = partial(cli.build_env, settings, time_limit_s=settings["time_limit_s"])
+        make = partial(configuration.build_env, settings, time_limit_s=settings["time_limit_s"])
         episodes = evaluate(make, Restless(), where, workers=workers)
         rows = [measure(number, episode, reward, control_hz=20) for number, episode in enumerate(episodes)]
         assert len(rows) == 100
@@ -346,7 +347,7 @@ def bench_start(rounds: int) -> Iterator[Row]:
 
 def bench_growth(episodes: int) -> Iterator[Row]:
     """Training rate and resident memory as a run grows; the ratio compares with the first third."""
-    with closing(OurTraining(cli.compose("train"), InlineEnv)) as more:
+    with closing(OurTraining(configuration.compose("train"), InlineEnv)) as more:
         rates, memory = [], []
         for _ in range(9):
             rates.append(rate(partial(more, episodes // 9), episodes // 9 * EPISODE))
@@ -360,7 +361,7 @@ def bench_growth(episodes: int) -> Iterator[Row]:
 
 def bench_checkpoints(rounds: int) -> Iterator[Row]:
     """What the snapshots and the checkpoint of 25 episodes cost at the end of a run, where the replay buffer is full."""
-    settings = cli.compose("train", ("buffer=uniform",))  # the shorter episodes: the larger share
+    settings = configuration.compose("train", ("buffer=uniform",))  # the shorter episodes: the larger share
     every = settings["checkpoint_every"]
     with closing(OurTraining(settings, InlineEnv)) as training, tempfile.TemporaryDirectory(dir=HERE, prefix=".tmp-") as folder:
         snapshot = training.snapshot()
@@ -419,7 +420,7 @@ def main() -> None:
     torch.set_num_threads(1)
     if arguments.train_only:
         episodes, seed = arguments.train_only
-        with closing(OurTraining(cli.compose("train"), InlineEnv, seed)) as more:
+        with closing(OurTraining(configuration.compose("train"), InlineEnv, seed)) as more:
             print(episodes / rate(partial(more, episodes), episodes))
         return
     if arguments.profile:
@@ -452,5 +453,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    assert uarm_rl.env  # its import registers the environment
+    assert uarm_rl.task.env  # its import registers the environment
     main()

@@ -26,17 +26,19 @@ import pandas as pd
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from uarm_rl import cli, figures, files, lab, statistics, tables
-from uarm_rl.arm import ArmError
+from uarm_rl import configuration, files
 from uarm_rl.emulator.emulate import Workplace
-from uarm_rl.emulator.memory import MemoryPort
-from uarm_rl.policy import ActorPolicy
-from uarm_rl.real.arm import SwiftArm
-from uarm_rl.real.calibration import nominal
-from uarm_rl.real.camera import OpenMVCamera
+from uarm_rl.emulator.memory_port import MemoryPort
+from uarm_rl.real import session as lab
 from uarm_rl.real.link import Link
 from uarm_rl.real.search import CameraSearch
+from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import Task, run_trials
+from uarm_rl.real.vision.calibration import nominal
+from uarm_rl.real.vision.camera import OpenMVCamera
+from uarm_rl.report import figures, statistics, tables
+from uarm_rl.task.arm import ArmError
+from uarm_rl.task.policy import ActorPolicy
 
 HERE: Final = Path(__file__).parent
 
@@ -59,7 +61,7 @@ SWEEPS: Final = {
 def trials_of(path: Path, count: int, point: tuple[str, float, int]) -> list[dict[str, object]]:
     """The rows of ``count`` trials on one emulated arm; an arm or camera that gives up has failed the rest."""
     sweep, value, seed = point
-    settings = cli.compose("emulate", (f"seed={seed}",))
+    settings = configuration.compose("emulate", (f"seed={seed}",))
     realism = settings["realism"] | SWEEPS[sweep][2](value)
     kept = {key: setting for key, setting in settings.items() if key not in ("results_dir", "speed")}
     policy = lab.load_policy(path)
@@ -75,16 +77,16 @@ def trials_of(path: Path, count: int, point: tuple[str, float, int]) -> list[dic
 
 def workers(place: Workplace, policy: ActorPolicy) -> tuple[SwiftArm, ActorPolicy, CameraSearch, Task]:
     """The arm, policy, search and task of ``run-real``, as configured by default, on ports in memory."""
-    settings, metadata = cli.compose("run-real", ()), policy.metadata
+    settings, metadata = configuration.compose("run-real", ()), policy.metadata
     task = Task(
-        hold=cli.build("hold", metadata["hold"]),
+        hold=configuration.build("hold", metadata["hold"]),
         **{key: metadata[key] for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
         **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
     )
     eye, hand = MemoryPort(place.camera), MemoryPort(place.firmware)
     search = CameraSearch(
         OpenMVCamera(eye, clock=eye.clock),
-        cli.build("detector", settings["detector"]),
+        configuration.build("detector", settings["detector"]),
         nominal(),
         object_size_m=lab.object_size(settings["object_size_m"]),
         whole_object=True,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import re
 
-from uarm_rl import kinematics
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
-from uarm_rl.emulator.memory import MemoryPort
+from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.motion import KinematicJoints
-from uarm_rl.real.arm import SwiftArm
 from uarm_rl.real.link import Link
+from uarm_rl.real.swift_arm import SwiftArm
+from uarm_rl.task import kinematics
 
 HOME = tuple(kinematics.HOME_JOINTS_RAD.tolist())
 PARKING = "G2206 B90.000 L118.000 R50.000 F20.0"

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from uarm_rl import cli
-from uarm_rl.env import UArmSuctionEnv
+from uarm_rl import configuration
+from uarm_rl.task.env import UArmSuctionEnv
 
 #: A training of seconds: small networks, short episodes, short validation.
 FAST = (
@@ -36,9 +36,9 @@ def make_env() -> Iterator[MakeEnv]:
     made: list[UArmSuctionEnv] = []
 
     def make(*overrides: str, **arguments: object) -> UArmSuctionEnv:
-        settings = cli.compose("train", overrides)
+        settings = configuration.compose("train", overrides)
         arguments = {"time_limit_s": settings["time_limit_s"]} | arguments
-        made.append(cli.build_env(settings, **arguments))
+        made.append(configuration.build_env(settings, **arguments))
         return made[-1]
 
     yield make

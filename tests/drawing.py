@@ -9,7 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from uarm_rl.real import projection
+from uarm_rl.real.vision import projection
 
 SCALE = 4  # drawn so much larger and then averaged: edges as a sensor sees them
 TABLE_BGR = (150, 140, 130)

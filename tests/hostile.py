@@ -606,7 +606,7 @@ def own_policy(change: Callable[[Any, Any], object]) -> Prepare:
     def prepare(box: Box) -> None:
         import numpy as np
 
-        from uarm_rl.policy import ActorPolicy
+        from uarm_rl.task.policy import ActorPolicy
 
         path = box.run / "policy.safetensors"
         good = ActorPolicy.load(path)
@@ -1548,8 +1548,8 @@ def unpickled() -> None:
 
     import torch
 
-    from uarm_rl import checkpoint as module
-    from uarm_rl.policy import ActorPolicy
+    from uarm_rl.learn import checkpoint as module
+    from uarm_rl.task.policy import ActorPolicy
 
     def load(data: bytes) -> Any:
         return torch.load(io.BytesIO(data), weights_only=False)
@@ -1562,7 +1562,7 @@ def unchecked_words() -> None:
     """Hydra's own settings let through."""
     from uarm_rl import cli
 
-    mock.patch.object(cli, "_check_words", return_value=None).start()
+    mock.patch.object(cli, "check", return_value=None).start()
 
 
 def following_links() -> None:
@@ -1589,8 +1589,12 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case]], tuple[str, ...]]] = {
 
 def make_template(template: Path, payload: Path) -> None:
     """A finished and evaluated run, the same run half done, and a module that must not be imported."""
-    from uarm_rl import checkpoint as module
-    from uarm_rl import cli
+    from uarm_rl import cli, configuration
+    from uarm_rl.commands import evaluate as commands_evaluate
+    from uarm_rl.commands import render as commands_render
+    from uarm_rl.commands import report as commands_report
+    from uarm_rl.commands import train as commands_train
+    from uarm_rl.learn import checkpoint as module
 
     box = Box(template)
     box.cwd.mkdir(parents=True)
@@ -1609,14 +1613,14 @@ def make_template(template: Path, payload: Path) -> None:
         raise KeyboardInterrupt
 
     with mock.patch.object(module, "write", stop_there), suppress(KeyboardInterrupt):
-        cli.train(cli.compose("train", TRAIN[1:]))
+        commands_train.run(configuration.compose("train", TRAIN[1:]))
     shutil.copytree("half", "results")
-    cli.train(cli.compose("train", (*TRAIN[1:-2], "resume=true", "results_dir=results")))
+    commands_train.run(configuration.compose("train", (*TRAIN[1:-2], "resume=true", "results_dir=results")))
     shutil.copytree("results", "rest")
-    cli.evaluate(cli.compose("evaluate", EVALUATE[1:]))
+    commands_evaluate.run(configuration.compose("evaluate", EVALUATE[1:]))
     # Everything that a case may import is imported once; what these leave behind is not in the template.
-    cli.report(cli.compose("report", ("results_dir=results",)))
-    cli.render(cli.compose("render", RENDER[1:]))
+    commands_report.run(configuration.compose("report", ("results_dir=results",)))
+    commands_render.run(configuration.compose("render", RENDER[1:]))
     sys.argv = ["uarm-rl", "train", "-m", *_FEW_RUNS]
     cli.main()
     shutil.copy(RUN + "/evaluation.csv", "rest/toy/seed0")
@@ -1693,7 +1697,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for row in rows:
         print(f"{row.what:58} {row.trials:6} trials  {row.failures:3} failures  {row.bound:12} {row.control}", flush=True)
     if arguments.out:
-        from uarm_rl.logbook import write_rows
+        from uarm_rl.csvfile import write_rows
 
         write_rows(arguments.out, rows[0]._fields, [row._asdict() for row in rows])
     return int(any(row.failures or row.control.startswith("NOT") for row in rows))

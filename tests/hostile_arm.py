@@ -20,13 +20,13 @@ from unittest import mock
 import numpy as np
 
 from tests.bench import judge
-from uarm_rl import kinematics
-from uarm_rl.arm import ArmError
 from uarm_rl.real import audit
-from uarm_rl.real.arm import SwiftArm
 from uarm_rl.real.audit import UnsafeCommandError
 from uarm_rl.real.dryrun import DryPort
 from uarm_rl.real.link import Link
+from uarm_rl.real.swift_arm import SwiftArm
+from uarm_rl.task import kinematics
+from uarm_rl.task.arm import ArmError
 
 NO_NUMBERS = (math.nan, math.inf, -math.inf, 1e308, 10**400, "1", None, 1j, b"0", [], Fraction(10**9, 7), np.nan, 2.0**64)
 NO_REFERENCES = (None, 0.0, "abc", {}, (), np.zeros((3, 3)), np.array([None, 0, 0]), np.zeros(3, np.complex64), object())

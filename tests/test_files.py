@@ -9,8 +9,8 @@ import shutil
 import numpy as np
 import pytest
 
-from uarm_rl import checkpoint
-from uarm_rl.logbook import Logbook, write_rows
+from uarm_rl.csvfile import Logbook, write_rows
+from uarm_rl.learn import checkpoint
 
 ARRAYS = {"agent/parameters": np.arange(40, dtype=np.float32), "replay/rows": np.ones((3, 5), np.float32)}
 

@@ -33,9 +33,12 @@ from unittest import mock
 import numpy as np
 
 from tests import hostile, hostile_arm
-from uarm_rl import checkpoint, cli, files, session
-from uarm_rl.logbook import write_rows
-from uarm_rl.policy import FILE, ActorPolicy, PolicyFileError
+from uarm_rl import configuration, files
+from uarm_rl.commands import train as commands_train
+from uarm_rl.csvfile import write_rows
+from uarm_rl.learn import checkpoint
+from uarm_rl.learn import run as session
+from uarm_rl.task.policy import FILE, ActorPolicy, PolicyFileError
 
 #: Two seconds of training: a checkpoint after every second episode, a ring that wraps around.
 TOY = (
@@ -98,17 +101,17 @@ def outcome(run: Path) -> str:
 
 
 def settings_of(method: str, folder: Path) -> tuple[dict, Path]:
-    settings = cli.compose("train", (f"experiment={method}", *TOY, f"results_dir={folder}"))
+    settings = configuration.compose("train", (f"experiment={method}", *TOY, f"results_dir={folder}"))
     return settings, folder / settings["name"] / "seed0"
 
 
 def finish(settings: dict) -> bool:
     """Resume until the end, in a process of its own; true if it got there."""
-    return os.waitpid(fork(lambda: cli.train(settings)), 0)[1] == 0
+    return os.waitpid(fork(lambda: commands_train.run(settings)), 0)[1] == 0
 
 
 def kill_after(settings: dict, delay_s: float, signum: signal.Signals = signal.SIGKILL) -> None:
-    child = fork(lambda: cli.train(settings))
+    child = fork(lambda: commands_train.run(settings))
     time.sleep(delay_s)
     os.kill(child, signum)
     os.waitpid(child, 0)
@@ -144,7 +147,7 @@ def kill_inside_save(settings: dict, at: int) -> None:
 
     def work() -> None:
         with counted_calls(at, lambda: os.kill(os.getpid(), signal.SIGKILL)):
-            cli.train(settings)
+            commands_train.run(settings)
 
     os.waitpid(fork(work), 0)
 

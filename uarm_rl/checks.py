@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+
+class UsageError(Exception):
+    """The command line asks for something that does not exist; the message is a sentence."""
 
 
 def number(name: str, value: object, *, low: float = -math.inf, high: float = math.inf, open_low: bool = False) -> float:
@@ -48,6 +53,11 @@ def text(name: str, value: object) -> str:
     if not isinstance(value, str) or not value:
         raise ValueError(f"{name} must be a text, got {_shown(value)}")
     return value
+
+
+def path(name: str, value: object) -> Path:
+    """``value`` as a path if it is a text that is not empty; :class:`ValueError` with a sentence otherwise."""
+    return Path(text(name, value))
 
 
 def _shown(value: object) -> str:

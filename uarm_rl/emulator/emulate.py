@@ -13,16 +13,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from uarm_rl import checks, kinematics, positions
+from uarm_rl import checks
 from uarm_rl.emulator.camera import SnapCamera
 from uarm_rl.emulator.faults import CameraFault, Fault
 from uarm_rl.emulator.firmware import Firmware
-from uarm_rl.emulator.marlin import MarlinFirmware
+from uarm_rl.emulator.firmware_3_2 import MarlinFirmware
 from uarm_rl.emulator.optics import Optics, Picture, plain_texture, tag_texture
+from uarm_rl.emulator.physics import Place, World
 from uarm_rl.emulator.pty import MAX_SPEED, PtyServer
-from uarm_rl.emulator.settings import Realism, Settings
-from uarm_rl.emulator.world import Place, World
-from uarm_rl.real.calibration import Calibration, nominal
+from uarm_rl.emulator.realism import Realism, Settings
+from uarm_rl.real.vision.calibration import Calibration, nominal
+from uarm_rl.task import kinematics, positions
 
 _LOOKS: Final = ("box", "sticker", "tag")
 _UNPAINTED: Final = (0.9, 0.9, 0.88)

@@ -11,10 +11,10 @@ import heapq
 import re
 from typing import Final
 
+from uarm_rl.emulator.controller import Machine, RefusalError
 from uarm_rl.emulator.faults import Fault, Faults
-from uarm_rl.emulator.machine import Machine, RefusalError
 from uarm_rl.emulator.motion import Joints, KinematicJoints, MotorAngles
-from uarm_rl.emulator.settings import Settings
+from uarm_rl.emulator.realism import Settings
 
 PARKED_DEG: Final[MotorAngles] = (90.0, 118.0, 50.0)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from uarm_rl import kinematics
 from uarm_rl.emulator.motion import MotorAngles
-from uarm_rl.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
+from uarm_rl.task import kinematics
+from uarm_rl.task.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
 
 #: The calibration pose, from which the encoders count: 2000 counts there, 4096 a turn.
 POINT_B_DEG: Final[MotorAngles] = (90.0, 32.758930, 88.980537)

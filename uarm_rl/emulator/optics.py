@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl.emulator.settings import Realism
-from uarm_rl.emulator.world import World
-from uarm_rl.kinematics import Vector
-from uarm_rl.real.calibration import Calibration
+from uarm_rl.emulator.physics import World
+from uarm_rl.emulator.realism import Realism
+from uarm_rl.real.vision.calibration import Calibration
+from uarm_rl.task.kinematics import Vector
 
 Picture = NDArray[np.uint8]
 

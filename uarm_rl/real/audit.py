@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Final
 
-from uarm_rl import checks, kinematics
-from uarm_rl.arm import ArmError, JointPositions
-from uarm_rl.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
+from uarm_rl import checks
 from uarm_rl.real.gcode import FEED_DEG_S, Command
+from uarm_rl.task import kinematics
+from uarm_rl.task.arm import ArmError, JointPositions
+from uarm_rl.task.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
 
 log = logging.getLogger(__name__)
 

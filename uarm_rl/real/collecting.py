@@ -36,11 +36,10 @@ from typing import Final, Protocol
 import cv2
 import numpy as np
 
-from uarm_rl import files, kinematics
-from uarm_rl.arm import JointPositions
-from uarm_rl.real import projection
+from uarm_rl import files
 from uarm_rl.real.audit import UnsafeCommandError
-from uarm_rl.real.calibration import (
+from uarm_rl.real.vision import projection
+from uarm_rl.real.vision.calibration import (
     Board,
     Calibration,
     CalibrationError,
@@ -48,8 +47,10 @@ from uarm_rl.real.calibration import (
     Observation,
     calibrate_intrinsics,
 )
-from uarm_rl.real.camera import Camera, Picture, picture_files, read_picture
-from uarm_rl.real.detection import Detector, TargetNotFoundError
+from uarm_rl.real.vision.camera import Camera, Picture, picture_files, read_picture
+from uarm_rl.real.vision.detection import Detector, TargetNotFoundError
+from uarm_rl.task import kinematics
+from uarm_rl.task.arm import JointPositions
 
 Ask = Callable[[str], str]
 

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from serial.tools import list_ports
 
-from uarm_rl import kinematics
-from uarm_rl.arm import ArmError
 from uarm_rl.real import gcode, link
-from uarm_rl.real.arm import NEWEST_TESTED_FIRMWARE, OLDEST_FIRMWARE
 from uarm_rl.real.ports import device_at
+from uarm_rl.real.swift_arm import NEWEST_TESTED_FIRMWARE, OLDEST_FIRMWARE
+from uarm_rl.task import kinematics
+from uarm_rl.task.arm import ArmError
 
 if TYPE_CHECKING:
-    from uarm_rl.real.camera import Camera, Picture
+    from uarm_rl.real.vision.camera import Camera, Picture
 
 _BOOT_S: Final = 6.0
 _OLD_DAYS: Final = 90
@@ -115,7 +115,7 @@ def _examine(connection: link.Link) -> Iterator[Finding]:
 
 def camera(open_camera: Callable[[], Camera]) -> tuple[list[Finding], Picture | None]:
     """The camera, and a picture of it if it gives one."""
-    from uarm_rl.real.camera import CameraError
+    from uarm_rl.real.vision.camera import CameraError
 
     try:
         with open_camera() as opened:
@@ -136,7 +136,7 @@ def camera(open_camera: Callable[[], Camera]) -> tuple[list[Finding], Picture | 
 
 def calibration(path: Path, picture: Picture | None) -> Finding:
     """The camera's calibration: whether it is whole, how old it is, and whether it fits the picture."""
-    from uarm_rl.real.calibration import Calibration, CalibrationError
+    from uarm_rl.real.vision.calibration import Calibration, CalibrationError
 
     try:
         loaded = Calibration.load(path)

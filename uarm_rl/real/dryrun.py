@@ -8,10 +8,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-from uarm_rl import kinematics
 from uarm_rl.real import gcode
-from uarm_rl.real.arm import PARK_JOINTS_RAD
 from uarm_rl.real.ports import READ_S
+from uarm_rl.real.swift_arm import PARK_JOINTS_RAD
+from uarm_rl.task import kinematics
 
 _MOVE: Final = re.compile(r"G2206 B(\S+) L(\S+) R(\S+) F(\S+)")
 

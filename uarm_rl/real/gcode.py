@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from uarm_rl.kinematics import MOTOR_LIMITS_DEG
+from uarm_rl.task.kinematics import MOTOR_LIMITS_DEG
 
 #: Speed of the motor angles (Euclidean norm of dB, dL, dR) per unit of F in deg/s, firmware 4. The protocol sheet
 #: calls F mm/min; the firmware hands degrees to grbl's planner, and 80 of them count as one of grbl's millimetres.

@@ -13,9 +13,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from uarm_rl.arm import ArmError
 from uarm_rl.real import gcode, ports
 from uarm_rl.real.ports import BROKEN, Port
+from uarm_rl.task.arm import ArmError
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import serial
 from serial.tools import list_ports
 
-from uarm_rl.arm import ArmError
+from uarm_rl.task.arm import ArmError
 
 try:
     from termios import error as termios_error

@@ -16,14 +16,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl import kinematics
-from uarm_rl.kinematics import Vector
-from uarm_rl.real.arm import SwiftArm
-from uarm_rl.real.calibration import Calibration
-from uarm_rl.real.camera import Camera, CameraError
-from uarm_rl.real.detection import Detector, TargetNotFoundError, annotate
-from uarm_rl.real.projection import locate_box, look_at, pixel_to_base
+from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import ObjectNotFoundError, Sighting
+from uarm_rl.real.vision.calibration import Calibration
+from uarm_rl.real.vision.camera import Camera, CameraError
+from uarm_rl.real.vision.detection import Detector, TargetNotFoundError, annotate
+from uarm_rl.real.vision.projection import locate_box, look_at, pixel_to_base
+from uarm_rl.task import kinematics
+from uarm_rl.task.kinematics import Vector
 
 #: Cup radius and height (m), and turns of the base (degrees), of the poses to look from. With the nominal
 #: mount and a QVGA picture they see all of the operating range beyond 150 mm from the base's axis, and most of the rest.

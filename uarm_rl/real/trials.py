@@ -14,15 +14,16 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl import checks, kinematics, positions
-from uarm_rl.env import UArmSuctionEnv
-from uarm_rl.hold import Hold
-from uarm_rl.kinematics import Vector
-from uarm_rl.policy import Policy
-from uarm_rl.real.arm import PumpState, SwiftArm
+from uarm_rl import checks
 from uarm_rl.real.audit import UnsafeCommandError
-from uarm_rl.reward import DistanceReward
-from uarm_rl.rollout import run_episode
+from uarm_rl.real.swift_arm import PumpState, SwiftArm
+from uarm_rl.task import kinematics, positions
+from uarm_rl.task.env import UArmSuctionEnv
+from uarm_rl.task.hold import Hold
+from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.policy import Policy
+from uarm_rl.task.reward import DistanceReward
+from uarm_rl.task.rollout import run_episode
 
 Row = dict[str, Any]
 

@@ -11,7 +11,7 @@ from collections import deque
 from typing import NamedTuple, Protocol
 
 from uarm_rl import checks
-from uarm_rl.arm import JointPositions
+from uarm_rl.task.arm import JointPositions
 
 RAD_PER_DEG = math.pi / 180.0
 

@@ -1,0 +1,124 @@
+"""The audit: nothing unsafe reaches the wire, whatever is asked."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from tests.bench import HOME, Bench
+from uarm_rl.emulator.realism import Settings
+from uarm_rl.real.audit import Limits, UnsafeCommandError, audit
+from uarm_rl.task import kinematics
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ((math.nan, 0.0, 0.0), "three finite joint angles"),
+        ((math.inf, 0.0, 0.0), "three finite joint angles"),
+        ((0.0, 0.0), "three finite joint angles"),
+        ((0.0, 0.0, 0.0, 0.0), "three finite joint angles"),
+        (("0", "0", "0"), "three finite joint angles"),
+        ((1j, 0.0, 0.0), "three finite joint angles"),
+        (None, "three finite joint angles"),
+        (0.0, "three finite joint angles"),
+        (np.zeros((3, 3)), "three finite joint angles"),
+        ((2.0, HOME[1], HOME[2]), "outside the joint limits; allowed are joint1: -90 to 90"),
+        ((HOME[0], -0.9, HOME[2]), "outside the joint limits"),
+        ((HOME[0], HOME[1], 1.5), "outside the joint limits"),
+        ((0.0, math.radians(60.0), math.radians(70.0)), "outside the joint limits"),  # joint2 + joint3
+        ((0.5, HOME[1], HOME[2]), "28.6 degrees; allowed are 14.3 in one step"),
+    ],
+)
+def test_a_refused_reference_sends_nothing(reference, words):
+    bench = Bench()
+    arm = bench.connect()
+    arm.home()
+    start = len(bench.port.written)
+    with pytest.raises(UnsafeCommandError, match=words):
+        arm.command_joints(reference)
+    assert len(bench.port.written) == start
+    arm.command_joints(HOME)  # and the arm still works
+    arm.advance()
+
+
+@pytest.mark.parametrize(
+    ("cup_mm", "limits", "feed", "words"),
+    [
+        ((200, 0, 2), Limits(), 20.0, "end at .* closer to the table than 3 mm"),
+        ((200, 0, 150), Limits(z_m=(0.0, 0.1)), 20.0, "outside the workspace, 0 to 100 mm in z"),
+        ((200, 50, 100), Limits(y_m=(-0.01, 0.01)), 20.0, "outside the workspace, -10 to 10 mm in y"),
+        ((72, 72, 20), Limits(), 20.0, "touch the arm's own base"),
+        ((200, 0, 100), Limits(), 31.0, "allowed is up to 40 deg/s, F 30.0"),
+        ((200, 0, 100), Limits(), 0.0, "asks for 0.0 deg/s"),
+        ((200, 0, 100), Limits(), math.nan, "asks for nan deg/s"),
+    ],
+)
+def test_the_audit_looks_at_the_cup_and_the_speed(cup_mm, limits, feed, words):
+    reference = kinematics.inverse(np.divide(cup_mm, 1000.0)).tolist()
+    with pytest.raises(UnsafeCommandError, match=words):
+        audit(reference, HOME, feed=feed, limits=limits, single_step=False)
+
+
+def test_the_audit_looks_at_the_whole_way():
+    """The forearm swings through the vertical: both ends are above the table, the middle is not."""
+    start, end = (kinematics.from_motor_deg(90.0, 61.1, right).tolist() for right in (70.0, 108.0))
+    assert min(kinematics.cup_position(joints)[2] for joints in (start, end)) > 0.005
+    with pytest.raises(UnsafeCommandError, match=r"pass at .* closer to the table"):
+        audit(end, tuple(start), feed=20.0, limits=Limits(), single_step=False)
+
+
+def test_references_on_a_limit_are_clamped_by_a_hair_and_counted(caplog):
+    caplog.set_level("INFO")
+    bench = Bench(limits=Limits(max_step_rad=math.pi))
+    arm = bench.connect()
+    arm.home()
+    assert arm.clamps == 0
+    arm.command_joints((math.radians(90.0), HOME[1], HOME[2]))
+    arm.advance()  # the firmware does not refuse it
+    assert arm.clamps == 1
+    assert "clamped to the limits" in caplog.text
+
+
+_ANY_NUMBER = (
+    st.floats(allow_nan=True, allow_infinity=True)
+    | st.floats(-0.3, 0.3)
+    | st.integers()
+    | st.sampled_from([math.nan, math.inf, -math.inf, 5e-324, 1e308, -0.0, 10**400, True, "1", None, 1j, Fraction(1, 7), b"0"])
+)
+_ANY_REFERENCE = (
+    st.lists(_ANY_NUMBER, max_size=5)
+    | st.tuples(*3 * [st.floats(-0.3, 0.3)])
+    | st.tuples(*3 * [st.floats(-0.3, 0.3)]).map(np.array)
+    | st.sampled_from([None, 0.0, "abc", {}, np.zeros((3, 1)), np.array([None, 0, 0]), np.zeros(3, np.complex64)])
+)
+
+
+@pytest.fixture(scope="module")
+def homed():
+    bench = Bench(Settings(tick_s=0.02))
+    arm = bench.connect()
+    arm.home()
+    return bench, arm
+
+
+@settings(derandomize=True, deadline=None, max_examples=1000)
+@example(reference=[True, True, True], relative=False)
+@given(reference=_ANY_REFERENCE, relative=st.booleans())
+def test_hostile_references_put_nothing_unsafe_on_the_wire(homed, reference, relative):
+    bench, arm = homed
+    bench.port.written.clear()
+    joints = arm.read_joints()
+    if relative and isinstance(reference, tuple):
+        reference = [at + change for at, change in zip(joints, reference, strict=False)]
+    standing_deg = bench.port.firmware.machine.motion.position
+    with suppress(UnsafeCommandError):
+        arm.command_joints(reference)
+    arm.advance()
+    bench.judge(last_deg=standing_deg)

@@ -1,0 +1,652 @@
+"""Trials on the arm: the loop in virtual time, and ``run-real`` and ``jog`` on real terminals as a user meets them."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from tests import hostile_arm
+from tests.bench import HOME, Bench, judge
+from tests.conftest import uarm_rl
+from uarm_rl import cli, configuration
+from uarm_rl.commands.words import as_overrides
+from uarm_rl.emulator.emulate import Workplace
+from uarm_rl.emulator.faults import Fault
+from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
+from uarm_rl.emulator.memory_port import MemoryPort
+from uarm_rl.emulator.motion import KinematicJoints
+from uarm_rl.emulator.pty import PtyServer
+from uarm_rl.emulator.realism import Settings
+from uarm_rl.real import session as lab
+from uarm_rl.real.link import Link
+from uarm_rl.real.search import CameraSearch
+from uarm_rl.real.swift_arm import PumpState, SwiftArm
+from uarm_rl.real.trials import COLUMNS, GivenTarget, ObjectNotFoundError, Task, run_trials
+from uarm_rl.real.vision.calibration import CalibrationError, nominal
+from uarm_rl.real.vision.camera import CameraError, OpenMVCamera
+from uarm_rl.real.vision.detection import MarkerDetector
+from uarm_rl.task import kinematics, positions
+from uarm_rl.task.arm import ArmError
+from uarm_rl.task.hold import UntilSteady
+from uarm_rl.task.policy import ActorPolicy, InverseKinematicsPolicy
+
+PLACE = np.array([0.2, 0.05, 0.03])
+TASK = Task(
+    hold=UntilSteady(0.001, 2, 40),
+    control_hz=20,
+    max_delta_rad=0.15,
+    tolerance_m=0.005,
+    dwell_s=0.5,
+    time_limit_s=10.0,
+    press_m=0.002,
+    max_press_m=0.005,
+)
+
+
+class Workbench(KinematicJoints):
+    """Joints with an object: it hangs from the cup once the cup was near its top with the pump on."""
+
+    def __init__(self, top=PLACE, *, seals_below_m=0.003, slips_at_m=math.inf):
+        super().__init__(PARKED_DEG)
+        self.top = np.array(top, float)
+        self.seals_below_m, self.slips_at_m = seals_below_m, slips_at_m
+
+    def drive(self, motor_deg, dt_s):
+        super().drive(motor_deg, dt_s)
+        cup = kinematics.cup_position(kinematics.from_motor_deg(*self.angles))
+        aside, above = math.dist(cup[:2], self.top[:2]), cup[2] - self.top[2]
+        if not self.sealed:
+            self.sealed = self.sucking and aside < 0.0055 and above < self.seals_below_m
+        if not self.sucking or (self.sealed and cup[2] > self.slips_at_m):
+            self.sealed = False
+            self.top[2] = 0.03
+        if self.sealed:
+            self.top = cup
+
+
+class Tap(Firmware):
+    """Keeps what it hears."""
+
+    heard = b""
+
+    def advance(self, to_s, received=b""):
+        self.heard += received
+        return super().advance(to_s, received)
+
+    def moves(self):
+        return re.findall(rb"G\d+[^\n]*", self.heard)
+
+    def wait_until_parked(self):
+        """The driver does not wait for its last move, so the emulator may hear of it later."""
+        end_s = time.monotonic() + 20.0
+        while not self.heard.endswith(b"G2206 B90.000 L118.000 R50.000 F20.0\n") and time.monotonic() < end_s:
+            time.sleep(0.005)
+
+
+def bench(joints=None, policy=None, **keywords):
+    """An arm in virtual time in front of ``joints``."""
+    here = Bench(Settings(tick_s=0.01), **keywords)
+    here.port.firmware.machine.joints = here.joints = joints or Workbench()
+    return here
+
+
+def trials(here, arm, count=1, search=None, policy=None, put_down=None, task=TASK):
+    results = run_trials(
+        arm, policy or InverseKinematicsPolicy(0.15), search or GivenTarget(PLACE), task, put_down, trials=count
+    )
+    return [trial.row for trial in results]
+
+
+# The loop, in virtual time
+
+
+def test_picks_carries_and_puts_down():
+    here = bench()
+    other = np.array([0.18, -0.12, 0.03])
+    with here.connect() as arm:
+        rows = trials(here, arm, put_down=lambda place: other)
+        assert arm.pump_state() is PumpState.STOPPED
+    (row,) = rows
+    assert set(row) <= set(COLUMNS)
+    assert (row["success"], row["reached"], row["reason"], row["firmware"]) == (True, True, "", "V4.10.0")
+    assert 2.0 < row["time_s"] < 10.0
+    assert row["final_distance_m"] <= 0.005
+    assert row["decisions"] >= 4
+    assert here.joints.top == pytest.approx(other, abs=0.004)
+    here.judge()
+    lines = here.lines()
+    on, off = lines.index("M2231 V1"), len(lines) - lines[::-1].index("M2231 V0")
+    assert sum(line.startswith("G2206") for line in lines[on:off]) >= 8  # lifted, carried, lowered with the pump on
+
+
+def test_the_dwell_counts_the_arms_time():
+    """Arriving counts once, standing there for 0.5 s the rest: the flag comes 0.5 s after the arrival and not at it."""
+    here = bench()
+    with here.connect() as arm:
+        env = TASK.env(arm)
+        arm.home()
+        env.reset(options={"object_position": kinematics.HOME_CUP_M, "home": False})
+        begun_s = arm.time_s()
+        flag = False
+        while not flag:
+            _, _, flag, truncated, _ = env.step(np.zeros(3, np.float32))
+            assert not truncated
+        assert 0.45 <= arm.time_s() - begun_s < 1.5
+
+
+class Still:
+    def act(self, observation):
+        return np.zeros(3, np.float32)
+
+
+class Diver:
+    """Goes down, whatever is there."""
+
+    def act(self, observation):
+        return np.array([0.0, 1.0, 0.0], np.float32)
+
+
+class Nowhere:
+    def find(self, arm, guess_m):
+        raise ObjectNotFoundError("the object is not in view")
+
+
+@pytest.mark.parametrize(
+    ("keywords", "joints", "words"),
+    [
+        ({"policy": Still()}, {}, r"did not stay within reach of the target; it ended \d+\.\d mm away"),
+        ({"policy": Diver()}, {}, "asked for something unsafe: the cup would .* closer to the table"),
+        ({"search": Nowhere()}, {}, "the object is not in view"),
+        ({"search": GivenTarget(np.array([0.05, 0.0, 0.03]))}, {}, r"cannot come down onto \(50, 0, 30\) mm"),
+        ({}, {"top": (0.2, 0.07, 0.03)}, "did not seal on the object, pressed 5 mm"),
+        ({}, {"slips_at_m": 0.05}, "fell off while it was lifted"),
+    ],
+)
+def test_failures_count_and_the_trials_go_on(keywords, joints, words):
+    here = bench(Workbench(**joints))
+    with here.connect() as arm:
+        rows = trials(here, arm, count=2, **keywords)
+        assert arm.pump_state() is PumpState.STOPPED
+        assert kinematics.cup_position(arm.read_joints())[2] > 0.03 or "search" in keywords
+    assert [row["trial"] for row in rows] == [1, 2]
+    for row in rows:
+        assert not row["success"]
+        assert re.search(words, row["reason"]), row["reason"]
+    here.judge()
+
+
+def test_what_the_policy_does_not_get_is_fetched_for_the_next_trial():
+    here = bench()
+    places = [np.array([0.18, -0.12, 0.03]), np.array([0.22, 0.1, 0.03])]
+    with here.connect() as arm:
+        rows = trials(here, arm, policy=Still(), put_down=lambda place: places[0])
+        assert here.joints.top == pytest.approx(places[0], abs=0.004)
+        rows += trials(here, arm, search=GivenTarget(places[0]), put_down=lambda place: places[1])
+    assert [row["success"] for row in rows] == [False, True]
+    assert "did not stay within reach" in rows[0]["reason"]
+    assert here.joints.top == pytest.approx(places[1], abs=0.004)
+
+
+def test_the_cup_is_pressed_deeper_until_it_seals():
+    here = bench(Workbench(seals_below_m=-0.0035))
+    with here.connect() as arm:
+        assert trials(here, arm)[0]["success"]
+    tops = [line for line in here.lines() if line.startswith("G2206")]
+    heights = [
+        1000 * kinematics.cup_position(kinematics.from_motor_deg(*map(float, re.findall(r"[BLR](\S+)", line))))[2]
+        for line in tops
+    ]
+    assert min(heights) == pytest.approx(26.0, abs=0.3)
+
+
+def test_an_object_lost_on_the_way_was_held_all_the_same():
+    here = bench(Workbench(slips_at_m=0.089))
+    with here.connect() as arm:
+        here.joints.slips_at_m = math.inf
+        rows = trials(here, arm, put_down=lambda place: setattr(here.joints, "slips_at_m", 0.05) or place)
+    assert rows[0]["success"]
+    assert "fell off on the way" in rows[0]["reason"]
+
+
+@pytest.mark.parametrize("effect", ["unplug", "power", "reset"])
+def test_what_breaks_the_arm_ends_the_trials(effect):
+    here = bench(faults=(Fault(effect, "G2206", nth=9, delay_s=0.1),))
+    rows = []
+    with pytest.raises(ArmError, match=r"check|restarted"), here.connect() as arm:
+        for trial in run_trials(arm, Still(), GivenTarget(PLACE), TASK, None, trials=99):
+            rows.append(trial.row)
+    assert len(rows) < 9
+    here.judge()
+
+
+def test_every_place_can_be_reached_lifted_and_left():
+    """From anywhere in the operating range, and back from wherever a policy may have stopped."""
+    generator = np.random.default_rng(0)
+    with lab.rehearse(lambda line: None) as arm:
+        for _ in range(40):
+            place = positions.draw(generator, 0.03)
+            rows = trials(None, arm, search=GivenTarget(place), put_down=lab.scattered(generator), task=TASK)
+            assert rows[0]["success"], rows[0]["reason"]
+
+
+# With a camera, over PyBullet, in virtual time
+
+
+def workplace(*overrides):
+    settings = configuration.compose("emulate", overrides)
+    return Workplace(**{key: value for key, value in settings.items() if key not in ("results_dir", "speed")})
+
+
+def look_for_it(place, detector=None, whole_object=True):
+    """The search with the workplace's camera, and an arm; both on ports in memory."""
+    port = MemoryPort(place.camera)
+    camera = OpenMVCamera(port, clock=port.clock)
+    colour = configuration.compose("run-real", ())["detector"]
+    search = CameraSearch(
+        camera,
+        detector or configuration.build("detector", colour),
+        nominal(),
+        object_size_m=(0.03, 0.03, 0.03),
+        whole_object=whole_object,
+    )
+    place.arm_port = port = MemoryPort(place.firmware)
+    return SwiftArm(Link(port, "workplace", clock=port.clock)), search
+
+
+def test_an_object_is_found_picked_and_put_down_by_camera():
+    with workplace("replace_object=false", "seed=5") as place:
+        arm, search = look_for_it(place)
+        with arm:
+            truth = place.world.object_position()
+            results = run_trials(
+                arm, InverseKinematicsPolicy(0.15), search, TASK, lab.scattered(np.random.default_rng(1)), trials=2
+            )
+            first, second = (trial for trial in results)
+        for trial in (first, second):
+            assert trial.row["success"], trial.row["reason"]
+            assert trial.row["camera_misfit_px"] < 2.0
+            assert trial.row["camera_disagreement_m"] < 0.01
+            assert trial.picture.shape == (240, 320, 3)
+        assert [first.row[f"target_{axis}_m"] for axis in "xyz"] == pytest.approx(truth, abs=0.004)
+        assert second.row["looks"] == 2  # it looks first where it has put it
+
+
+@pytest.mark.parametrize("look", ["tag", "sticker"])
+def test_a_marker_is_the_middle_of_the_top(look):
+    with workplace(f"look={look}", "realism=none", "object_position=[0.24,0.06,0.03]") as place:
+        detector = MarkerDetector() if look == "tag" else None
+        arm, search = look_for_it(place, detector, whole_object=False)
+        with arm:
+            sighting = search.find(arm, None)
+        assert sighting.target_m == pytest.approx((0.24, 0.06, 0.03), abs=0.001)
+
+
+def test_something_of_another_shape_is_not_taken_for_the_object():
+    with workplace("realism=none", "object_position=[0.24,0.06,0.03]") as place:
+        arm, search = look_for_it(place)
+        search._size_m = (0.12, 0.02, 0.03)
+        with arm, pytest.raises(ObjectNotFoundError, match=r"has not the shape of the object|cannot be in view"):
+            search.find(arm, None)
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "words"),
+    [
+        ("camera_frozen", CameraError, "picture again and again"),
+        ("camera_silence", CameraError, "gave no picture within 15 s: it sent nothing"),
+        ("camera_size", CalibrationError, "is for 320 x 240"),
+        ("power", ArmError, "lost its 12 V power"),
+        ("silence", ArmError, "did not answer within"),
+    ],
+)
+def test_a_fault_in_a_trial_ends_it_in_a_sentence_with_the_pump_off(fault, error, words):
+    with workplace("replace_object=false", f"faults={fault}") as place:
+        arm, search = look_for_it(place)
+        with pytest.raises(error, match=words), arm:
+            next(run_trials(arm, InverseKinematicsPolicy(0.15), search, TASK, None, trials=1))
+        written = bytes(place.arm_port.written).decode()
+        assert "M2231 V0" in written[-130:]
+        for line in filter(None, re.sub("[!\x18]", "", written).splitlines()):
+            judge(line)
+
+
+# Hostile wishes and answers; the lead number of each is larger in tests/torture.py
+
+
+def test_hostile_wishes_put_nothing_unsafe_on_the_wire():
+    assert hostile_arm.references(5000) == (5000, 0)
+    with hostile_arm.blind():
+        assert hostile_arm.references(1000)[1] > 10  # the control is caught
+
+
+def test_arms_that_answer_nonsense_never_hang_the_driver():
+    assert hostile_arm.streams(500) == (500, 0)
+
+
+# The command line
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--port", "/dev/ttyACM0"], ["port=/dev/ttyACM0"]),
+        (["--trials=50", "seed=1"], ["trials=50", "seed=1"]),
+        (["--dry-run"], ["dry_run=true"]),
+        (["--dry-run", "--trials", "5"], ["dry_run=true", "trials=5"]),
+        (["--target", "0.2", "-0.1", "0.03", "camera=none"], ["target=[0.2,-0.1,0.03]", "camera=none"]),
+        (["--target", "0.2", "-.1", "3e-2", "-m"], ["target=[0.2,-.1,3e-2]", "-m"]),
+        (["--camera.port", "/dev/pts/1"], ["camera.port=/dev/pts/1"]),
+        (["--out", "a (b)'s"], ["out='a (b)\\'s'"]),
+        (["--seed", "0,1", "--multirun"], ["seed=0,1", "--multirun"]),
+        (["--cfg", "job", "--help"], ["--cfg", "job", "--help"]),
+        (["--config-dir=.", "--info", "all"], ["--config-dir=.", "--info", "all"]),
+        (["--run", "results/C/seed0"], ["run=results/C/seed0"]),
+        (["--hydra.run.dir=x"], ["hydra.run.dir=x"]),  # which is refused as such
+        (["trials=5", "-h", "+x=1"], ["trials=5", "-h", "+x=1"]),
+    ],
+)
+def test_options_are_overrides(words, expected):
+    assert as_overrides(words) == expected
+
+
+def test_a_quoted_value_arrives_as_it_was():
+    for value in ("a (b)'s", 'quo"te', "back\\slash", "#1", "ümlaut"):
+        assert configuration.compose("run-real", tuple(as_overrides(["--out", value])))["out"] == value
+        assert configuration.compose("run-real", tuple(as_overrides([f"--out={value}=x"])))["out"] == f"{value}=x"
+
+
+@pytest.fixture
+def run(monkeypatch, tmp_path, capsys):
+    """Call the command line in this process, in a folder of its own: (exit code, output, error)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["uarm-rl", *map(str, words)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as stop:
+            code = stop.code
+        output, error = capsys.readouterr()
+        return code, output, error
+
+    return call
+
+
+@pytest.fixture
+def served():
+    """An emulated arm with an object on a real terminal, 50 times as fast as real."""
+    firmware = Tap(Settings(boot_s=1.0), Workbench())
+    with PtyServer(firmware, speed=50.0) as server:
+        yield server, firmware
+
+
+FAST = ("--speed", 50, "--policy", "ik", "camera=none")
+
+
+def read(path):
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_trials_on_a_terminal(run, served, tmp_path):
+    server, firmware = served
+    code, output, error = run("run-real", "--port", server.path, "--target", 0.2, 0.05, 0.03, "--trials", 2, *FAST)
+    assert (code, error) == (0, "")
+    assert "2 of 2 held after the lift: 100% (95 % interval 34% to 100%, Wilson); the arm was emulated" in output
+    folder = tmp_path / "results" / "ik" / "seed0" / "real"
+    rows = read(folder / "trials.csv")
+    assert tuple(rows[0]) == COLUMNS
+    assert [(row["trial"], row["success"], row["emulated"]) for row in rows] == [("1", "1", "1"), ("2", "1", "1")]
+    assert f"port: {server.path}" in (folder / "config.yaml").read_text()
+    firmware.wait_until_parked()
+    assert firmware.heard.count(b"M2231 V1") == 2
+    for line in filter(None, re.sub("[!\x18]", "", firmware.heard.decode()).splitlines()):
+        judge(line)
+    before = (folder / "trials.csv").read_bytes()
+    heard = len(firmware.heard)
+    code, _, error = run("run-real", "--port", server.path, "--target", 0.2, 0.05, 0.03, *FAST)
+    assert (code, "overwrite=true replaces them" in error) == (2, True)
+    assert ((folder / "trials.csv").read_bytes(), len(firmware.heard)) == (before, heard)
+
+
+def test_a_joint_is_jogged_and_nothing_else_moves(run, served):
+    server, firmware = served
+    code, output, _ = run("jog", "--port", server.path, "--joint", 2, "--degrees", -5, "--speed", 50)
+    assert code == 0
+    assert re.search(r"joint2: -28\.\d+ degrees before, -33\.\d+ after: moved by -[45]\.\d+ of -5.00", output)
+    assert "right if the lower arm leaned back and the cup rose" in output
+    assert len(firmware.moves()) == 1  # it does not park either
+    code, output, _ = run("jog", "--port", server.path, "--joint", 1, "--degrees", 4, "--speed", 50)
+    assert "turned to its left" in output
+
+
+def test_a_dry_run_needs_nothing_and_sends_nothing(run, tmp_path):
+    code, output, error = run("run-real", "--dry-run", "--policy", "ik", "--trials", 2)
+    assert (code, error) == (0, "")
+    lines = re.findall(r"^would send: (.*?)  ", output, re.MULTILINE)
+    assert lines[0] == "M2231 V0"
+    assert lines[-1].startswith("G2206 B90.000 L118.000 R50.000")
+    assert len(lines) > 50
+    for line in lines:
+        judge(f"#1 {line.strip()}")
+    assert "nothing was sent" in output
+    assert list(tmp_path.iterdir()) == []
+
+
+def policy_file(path, **metadata):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    ones = np.ones(20, np.float32)
+    layers = [(np.full((20, 3), 0.01, np.float32), np.zeros(3, np.float32))]
+    good = {"max_delta_rad": 0.15, "hold": {"name": "until_steady", "steady_threshold_rad": 0.001, "min_control_steps": 2}}
+    good["hold"]["max_control_steps"] = 40
+    good |= {"control_hz": 20, "tolerance_m": 0.005, "dwell_s": 0.5, "servo": {"name": "stepper", "feed": 15.0}}
+    metadata = {key: value for key, value in (good | metadata).items() if value is not None}
+    ActorPolicy(layers, offset=ones, scale=ones, metadata=metadata).save(path)
+
+
+TARGET = ("--target", 0.2, 0.05, 0.03)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "parts"),
+    [
+        (["port=/dev/nowhere", *TARGET, *FAST[2:]], 1, ["there is no port /dev/nowhere"]),
+        ([*TARGET, *FAST[2:]], 1, ["no serial port has the USB id of the uArm", "--port"]),
+        (["port=PORT", *TARGET], 2, ["there is no policy results/real_arm/seed0", "--policy", "experiment=real_arm"]),
+        (["port=PORT", *TARGET, "policy=wide"], 1, ["action scale", "max_delta_rad", "0.25, got 0.3"]),
+        (["port=PORT", *TARGET, "policy=poor"], 1, ["lacks", "tolerance_m"]),
+        (["port=PORT", *TARGET, "policy=torn/policy.safetensors"], 1, ["truncated, damaged"]),
+        (["port=PORT", "--policy", "ik", "--target", "0.6", "0", "0.03"], 2, ["cannot come down onto (600, 0, 30) mm"]),
+        (["port=PORT", "--policy", "ik", "--target", "200", "0", "30"], 2, ["in metres, e.g. --target 0.2 0 0.03"]),
+        (["port=PORT", "--policy", "ik", "--target", "0.2", "0"], 2, ["target must be three numbers", "[0.2, 0]"]),
+        (["port=PORT", "--policy", "ik", "--target", "0.2", "0", "nan"], 2, ["target must be a finite number"]),
+        (["port=PORT", "--policy", "ik", "--target", "0.2", "0", "0.005"], 2, ["5 mm above the table is too low"]),
+        (["port=PORT", "--policy", "ik", "camera=none"], 2, ["--target X Y Z", "camera"]),
+        (["port=PORT", "--policy", "ik", "camera.port=/dev/nowhere"], 1, ["there is no port /dev/nowhere", "camera"]),
+        (["port=PORT", "--policy", "ik", "camera=webcam", "camera.index=99"], 1, ["webcam 99 cannot be opened"]),
+        (["port=PORT", "--policy", "ik", "camera=file", "camera.path=nothing.png"], 1, ["nothing.png cannot be read"]),
+        (["port=PORT", "--policy", "ik", "camera=file"], 2, ["camera.path=VALUE is needed"]),
+        (["port=PORT", "--policy", "ik", "camera=file", "camera.path=small.png", "calibration=good.json"], 1, ["320 x 240"]),
+        (
+            ["port=PORT", "--policy", "ik", "camera=file", "camera.path=small.png", "calibration=torn.json"],
+            1,
+            ["torn.json is damaged"],
+        ),
+        (["port=PORT", *TARGET, "--policy", "ik", "--trials", "0"], 2, ["trials must be a whole number of at least 1"]),
+        (["port=PORT", *TARGET, "--policy", "ik", "--feed", "99"], 2, ["feed must be a number from 0.1 to 30"]),
+        (["port=PORT", *TARGET, "--policy", "ik", "limits.z_m=[0.1]"], 2, ["limits.z_m must be two numbers"]),
+        (["port=PORT", *TARGET, "--policy", "ik", "--nonsense", "1"], 2, ["there is no setting 'nonsense'"]),
+        (["port=PORT", *TARGET, "--policy", "ik", "max_press_m=0.001"], 2, ["max_press_m must be a number from 0.002"]),
+    ],
+)
+def test_bad_input_is_one_sentence_and_nothing_moves(run, served, tmp_path, words, code, parts):
+    import cv2
+
+    server, firmware = served
+    policy_file(tmp_path / "wide" / "policy.safetensors", max_delta_rad=0.3)
+    policy_file(tmp_path / "poor" / "policy.safetensors", tolerance_m=None)
+    policy_file(tmp_path / "torn" / "policy.safetensors")
+    torn = (tmp_path / "torn" / "policy.safetensors").read_bytes()
+    (tmp_path / "torn" / "policy.safetensors").write_bytes(torn[:-5])
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((120, 160, 3), np.uint8))
+    nominal().save(tmp_path / "good.json")
+    (tmp_path / "torn.json").write_text("{")
+    before = sorted(tmp_path.rglob("*"))
+    done, _, error = run("run-real", *(str(word).replace("PORT", server.path) for word in words))
+    lines = [line for line in error.splitlines() if line.startswith("error: ")]
+    assert (done, len(lines)) == (code, 1), error
+    for part in parts:
+        assert part in lines[0], lines[0]
+    assert firmware.moves() == []
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_real_arm_needs_a_calibration(run, tmp_path):
+    """A port that does not exist is no emulated arm; the calibration is read before it is opened."""
+    import cv2
+
+    cv2.imwrite(str(tmp_path / "picture.png"), np.zeros((240, 320, 3), np.uint8))
+    code, _, error = run("run-real", "port=/dev/ttyACM7", "--policy", "ik", "camera=file", "camera.path=picture.png")
+    assert (code, "calibration.json cannot be read" in error, "calibrate-hand-eye" in error) == (1, True, True)
+
+
+def test_a_busy_port_is_named(run, served):
+    server, firmware = served
+    arm = lab.connect(server.path, speed=50.0, parks=False)
+    code, _, error = run("run-real", "--port", server.path, *TARGET, *FAST)
+    arm.close()
+    assert (code, "in use by another program" in error) == (1, True)
+    assert firmware.moves() == []
+
+
+def test_the_cameras_port_is_not_the_arms(run, monkeypatch, served):
+    from types import SimpleNamespace
+
+    server, firmware = served
+    camera = SimpleNamespace(device=server.path, vid=0x37C5, pid=0x1204)
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [camera])
+    code, _, error = run("run-real", "--port", server.path, *TARGET, *FAST)
+    assert (code, "is the port of an OpenMV camera, not of the uArm" in error) == (1, True)
+    assert firmware.heard == b""
+
+
+def test_speed_is_for_emulators(run, tmp_path):
+    code, _, error = run("run-real", "--port", "/dev/null", *TARGET, *FAST)
+    assert (code, "speed=50 is for an emulator" in error) == (2, True)
+
+
+def test_a_policy_of_another_servo_is_warned_of(run, tmp_path):
+    policy_file(
+        tmp_path / "run" / "policy.safetensors", servo={"name": "second_order"}, hold={"name": "fixed", "control_steps": 1}
+    )
+    code, _, error = run("run-real", "--dry-run", "--policy", "run", "--trials", 1)
+    assert code == 0
+    assert re.search(r"warning: the policy was trained with servo=second_order", error)
+    assert re.search(r"warning: the policy was not trained to wait", error)
+
+
+def test_the_feed_is_that_of_the_training(run, tmp_path):
+    policy_file(tmp_path / "run" / "policy.safetensors")
+    _, output, _ = run("run-real", "--dry-run", "--policy", "run", "--trials", 1)
+    assert set(re.findall(r"G2206 .*? F(\S+)", output)) == {"15.0"}
+
+
+def test_a_camera_that_ends_keeps_the_rows(run, served, tmp_path):
+    """Pictures of an empty table for one search and a half."""
+    import cv2
+
+    server, firmware = served
+    for number in range(20):
+        cv2.imwrite(str(tmp_path / f"table{number:02d}.png"), np.full((240, 320, 3), 120, np.uint8))
+    words = ("camera=file", f"camera.path={tmp_path}", "--policy", "ik", "--speed", 50, "--out", "here", "--port", server.path)
+    code, output, error = run("run-real", *words)
+    assert (code, "are used up" in error) == (1, True)
+    rows = read(tmp_path / "here" / "trials.csv")
+    assert [row["success"] for row in rows] == ["0"]
+    assert "was not found in 12 pictures" in rows[0]["reason"]
+    assert "0 of 1 held" in output
+    assert [line for line in firmware.heard.decode().splitlines() if "M2231" in line][-1].endswith("V0")
+
+
+def test_an_object_that_is_never_in_view_is_an_error(run, served, tmp_path):
+    import cv2
+
+    cv2.imwrite(str(tmp_path / "table.png"), np.full((240, 320, 3), 120, np.uint8))
+    words = ("camera=file", "camera.path=table.png", "--policy", "ik", "--speed", 50, "--trials", 1, "--port", served[0].path)
+    code, output, error = run("run-real", *words)
+    assert (code, "0 of 1 held" in output, "error: the object was not found in 12 pictures" in error) == (1, True, True)
+
+
+def test_an_unplugged_cable_keeps_the_rows(run, tmp_path):
+    firmware = Tap(Settings(), Workbench(), faults=(Fault("unplug", "G2206", nth=40, delay_s=0.1),))
+    with PtyServer(firmware, speed=50.0) as server:
+        code, output, error = run("run-real", "--port", server.path, *TARGET, "--trials", 50, *FAST)
+    assert (code, "check the USB cable" in error) == (1, True)
+    rows = read(tmp_path / "results" / "ik" / "seed0" / "real" / "trials.csv")
+    assert 1 <= len(rows) < 10
+    assert f"{len(rows)} of {len(rows)} held" in output
+
+
+@pytest.mark.parametrize(
+    "numbers", [(signal.SIGINT,), (signal.SIGINT, signal.SIGINT), (signal.SIGTERM,), (signal.SIGHUP, signal.SIGTERM)]
+)
+def test_signals_end_it_with_the_pump_off_and_the_arm_parked(served, tmp_path, numbers):
+    server, firmware = served
+    words = [sys.executable, "-m", "uarm_rl.cli", "run-real", "--port", server.path, *TARGET, "--trials", "999", *FAST]
+    process = subprocess.Popen(list(map(str, words)), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while b"M2231 V1" not in firmware.heard:
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.001)
+    for number in numbers:
+        os.kill(process.pid, number)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode in (130, -signal.SIGINT)  # the second may come while Python shuts down
+    assert error.splitlines() == ["error: interrupted; what was saved before is whole"]
+    firmware.wait_until_parked()
+    said = [line.split(" ", 1)[1] for line in re.sub("[!\x18]", "", firmware.heard.decode()).splitlines() if " " in line]
+    assert said[-1].startswith("G2206 B90.000 L118.000 R50.000")
+    assert "M2231 V0" in said[-6:]
+    assert not firmware.machine.joints.sucking
+
+
+def test_neither_torch_nor_pybullet_is_loaded(served, tmp_path):
+    port = served[0].path
+    commands = (
+        ("run-real", "--port", port, *TARGET, "--trials", 1, *FAST),
+        ("jog", "--port", port, "--joint", 1, "--degrees", 1, "--speed", 50),
+        ("doctor", "--port", port, "camera=file", "camera.path=none.png"),
+    )
+    code = (
+        "import sys; from uarm_rl import cli\n"
+        f"for words in {[list(map(str, words)) for words in commands]}:\n"
+        "    sys.argv = ['uarm-rl', *words]\n"
+        "    try: cli.main()\n"
+        "    except SystemExit as stop: print('exit', stop.code)\n"
+        "print({'torch', 'pybullet', 'pandas', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-2:] == ["exit 1", "set()"], done.stdout + done.stderr
+    assert "1 of 1 held" in done.stdout, done.stdout + done.stderr
+
+
+def test_the_commands_are_in_the_help(tmp_path):
+    for command in ("run-real", "jog", "doctor", "calibrate-camera", "calibrate-hand-eye", "emulate"):
+        done = uarm_rl(command, "--help", cwd=tmp_path)
+        assert (
+            done.returncode,
+            f"uarm-rl {command}:" in done.stdout,
+            "port" in done.stdout or command == "calibrate-camera",
+        ) == (0, True, True)
+
+
+assert HOME  # of the bench

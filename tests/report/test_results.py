@@ -1,0 +1,49 @@
+"""The committed results: the report is rebuilt from the runs to the last byte, and the texts quote its tables."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from uarm_rl.report.report import report
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "results"
+REPORTS = [RESULTS, RESULTS / "beta0.3"]
+
+
+def written(results: Path) -> dict[str, bytes]:
+    """The tables that a report has written below ``results``; pictures depend on the fonts that are installed."""
+    tables = (path for pattern in ("*", "ablations/*") for path in results.glob(pattern) if path.suffix in (".csv", ".md"))
+    return {str(path.relative_to(results)): path.read_bytes() for path in tables}
+
+
+@pytest.mark.parametrize("results", REPORTS, ids=lambda folder: folder.name)
+def test_the_report_is_rebuilt_from_the_committed_runs(results, tmp_path):
+    rebuilt = tmp_path / "results"
+    committed = written(results)
+    made = [name for name in committed if name != "paper.csv"]
+    shutil.copytree(results, rebuilt, ignore=shutil.ignore_patterns("*.safetensors", "*.png", "checkpoint-*"))
+    for name in made:
+        (rebuilt / name).unlink()
+    report(rebuilt)
+    assert {"table1.csv", "table1.md"} <= set(made)
+    assert written(rebuilt) == committed
+
+
+def tables(text: str) -> list[str]:
+    """The Markdown tables in a text."""
+    return re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
+
+
+def test_the_texts_quote_the_tables_as_they_are():
+    folders = [*REPORTS, RESULTS / "ablations"]
+    made = {table for folder in folders for path in folder.glob("*.md") for table in tables(path.read_text())}
+    quoted = tables((ROOT / "RESULTS.md").read_text())
+    first = (RESULTS / "table1.md").read_text().split("\n\n")[0] + "\n"
+    assert first in quoted
+    assert first in tables((ROOT / "README.md").read_text())
+    assert [table for table in quoted if table not in made] == []

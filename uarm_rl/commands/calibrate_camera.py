@@ -1,0 +1,27 @@
+"""Measure the camera's lens.
+
+Examples:
+  uarm-rl calibrate-camera                            take pictures of the board, press Enter for each
+  uarm-rl calibrate-camera camera=none pictures=boards pictures that are in a folder already
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from uarm_rl import checks
+from uarm_rl.configuration import Settings, build
+from uarm_rl.real import collecting, session
+from uarm_rl.real.vision.calibration import Board
+
+
+def run(settings: Settings) -> None:
+    """Measure the camera's lens with pictures of a board, taken now or in a folder already."""
+    board, folder, out = Board(**settings["board"]), Path(settings["pictures"]), Path(settings["out"])
+    count = checks.integer("count", settings["count"], low=1)
+    with build("camera", settings["camera"]) as camera:
+        if camera is not None:
+            collecting.collect_board_pictures(camera, board, folder, session.ask, count)
+    intrinsics, report = collecting.calibrate_intrinsics_from_folder(folder, board, settings["camera"]["name"])
+    intrinsics.save(out)
+    print(f"{report}\n{out}: the lens; go on with uarm-rl calibrate-hand-eye")

@@ -1,0 +1,104 @@
+"""Test trained policies on the 100 fixed positions.
+
+Examples:
+  uarm-rl evaluate                                    every trained run that has no evaluation yet
+  uarm-rl evaluate policy=ik                          the inverse-kinematics controller, as a reference
+  uarm-rl evaluate run=results/adaptive-penalty/seed0 tolerance_m=0.002 out=strict.csv
+  uarm-rl evaluate positions=heldout out=heldout.csv  that file in the folder of every trained run
+"""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+
+from tqdm import tqdm
+
+from uarm_rl import checks
+from uarm_rl.checks import UsageError
+from uarm_rl.configuration import Settings, build, build_env, compose, load_policy, read_run
+from uarm_rl.csvfile import write_rows
+from uarm_rl.evaluation.evaluate import COLUMNS, TRACES, Row, evaluate, measure, trace_rows
+from uarm_rl.sim.servo import rise_time_s
+from uarm_rl.task import positions
+from uarm_rl.task.policy import FILE
+
+
+def run(settings: Settings) -> None:
+    """Test policies on fixed positions and write one CSV row a position."""
+    results_dir = checks.path("results_dir", settings["results_dir"])
+    changed = ["positions"] if settings["positions"] != "test" else []
+    changed += [key for key in ("tolerance_m", "time_limit_s", "hold") if settings.get(key) is not None]
+    file = checks.text("out", settings["out"] or "evaluation.csv")
+    if changed and (not settings["out"] or (file == "evaluation.csv" and not settings["run"])):
+        raise UsageError(
+            f"{changed[0]} changes the test, so give out=FILE for its result; evaluation.csv is for the standard test"
+        )
+    if settings["run"]:
+        run_dir = checks.path("run", settings["run"])
+        _evaluate_run(settings, run_dir, read_run(run_dir), Path(file) if settings["out"] else run_dir / file)
+        return
+    if Path(file).name != file:
+        raise UsageError(
+            f"out={file} takes the result of one run, so give run=DIR too; out=NAME.csv without a folder is that file in "
+            "the folder of every run"
+        )
+    if not file.endswith(".csv") or file == "progress.csv":
+        raise UsageError(f"out={file} is no name for an evaluation in a run's folder; take another that ends in .csv")
+    # The baseline has no training: it does the task of a default one, in a folder beside the runs.
+    ik = settings["policy"] == "ik"
+    run_dirs = [results_dir / "ik" / "seed0"] if ik else _trained_runs(results_dir)
+    done = [run_dir for run_dir in run_dirs if (run_dir / file).exists() and not settings["overwrite"]]
+    for run_dir in run_dirs:
+        if run_dir not in done:
+            _evaluate_run(settings, run_dir, compose("train") if ik else read_run(run_dir), run_dir / file)
+    if done:
+        print(f"evaluated already, {file} is there (overwrite=true evaluates again): {', '.join(map(str, done))}")
+
+
+def _trained_runs(results_dir: Path) -> list[Path]:
+    trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{FILE}"))
+    if not trained:
+        raise UsageError(
+            f"{results_dir} holds no trained run; make one with uarm-rl train, or name its folder: results_dir=DIR"
+        )
+    return trained
+
+
+def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out: Path) -> None:
+    if out.exists() and not settings["overwrite"]:
+        raise UsageError(f"{out} exists already; overwrite=true replaces it, out=FILE writes elsewhere")
+    run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
+    if settings.get("hold"):
+        run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
+    where = positions.load_named(str(settings["positions"]))
+    policy = load_policy(run_dir, settings["policy"], run_settings)
+    make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
+    make().close()  # a bad value shows here, as a sentence, and not in a worker
+    cores = len(os.sched_getaffinity(0))
+    workers = cores if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
+    traced = checks.integer("traces", settings["traces"], low=0)
+    common_reward = build("reward", settings["common_reward"])
+    control_hz = run_settings["control_hz"]
+    conditions = {
+        "tolerance_m": run_settings["tolerance_m"],
+        "hold": str(build("hold", run_settings["buffer"]["hold"])),
+        "control_hz": control_hz,
+        "servo_rise_s": rise_time_s(build("servo", run_settings["servo"])),
+        "sigma": run_settings["reward"]["sigma"],
+    }
+    rows: list[Row] = []
+    traces: list[Row] = []
+    episodes = evaluate(make, policy, where, workers=min(workers, len(where)))
+    bar = tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True)
+    for number, episode in enumerate(bar):
+        rows.append(measure(number, episode, common_reward, control_hz=control_hz) | conditions)
+        if number < traced:
+            traces += trace_rows(number, episode, control_hz=control_hz)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if traced:  # first, so that a result that is there has its traces
+        write_rows(out.with_name(f"{out.stem}-traces.csv"), TRACES, traces)
+    write_rows(out, COLUMNS, rows)
+    successes = sum(bool(row["success"]) for row in rows)
+    print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")

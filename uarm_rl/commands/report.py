@@ -1,0 +1,18 @@
+"""Rebuild all tables and figures from the CSV files in results/.
+
+Examples:
+  uarm-rl report                                      tables and pictures in results/ and results/ablations/
+  uarm-rl report results_dir=demo                     the same for another folder of runs
+  uarm-rl evaluate && uarm-rl report                  test what is new, then report
+"""
+
+from __future__ import annotations
+
+from uarm_rl import checks
+from uarm_rl.configuration import Settings
+from uarm_rl.report.report import report
+
+
+def run(settings: Settings) -> None:
+    """Rebuild table and figures."""
+    print(report(checks.path("results_dir", settings["results_dir"])))

@@ -1,0 +1,87 @@
+"""The words of a command line: which are allowed, and ``--name value`` as ``name=value``."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from importlib import resources
+from typing import Final
+
+from uarm_rl.checks import UsageError
+from uarm_rl.commands import COMMANDS
+
+#: Hydra's own options are no settings; the command line decides which of them it takes. (``run`` is a setting here.)
+_HYDRAS: Final = (
+    "help|hydra-help|version|cfg|resolve|package|multirun|shell-completion|config-path|config-name|config-dir|"
+    "experimental-rerun|info"
+)
+_OPTION: Final = re.compile(rf"--(?!(?:{_HYDRAS})(?:=|$))([a-z][\w.@/-]*)(?:=(.*))?", re.DOTALL)
+_NUMBER: Final = re.compile(r"-\.?\d.*")
+#: Values that Hydra reads without quotes: words, numbers, paths, lists.
+_PLAIN: Final = re.compile(r"[\w./:,+@%$\[\]{} -]+", re.ASCII)
+
+
+def as_overrides(words: list[str]) -> list[str]:
+    """``--name value`` as ``name=value``, the one spelling that is read further on.
+
+    ``--dry-run`` is ``dry_run=true``, ``--target 0.2 0 0.03`` is ``target=[0.2,0,0.03]``. All other words stay as they are.
+    """
+    overrides: list[str] = []
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        option = _OPTION.fullmatch(word)
+        if option is None:
+            overrides.append(word)
+            continue
+        values = [] if option[2] is None else [option[2]]
+        while option[2] is None and rest and not _begins_something(rest[0]):
+            values.append(rest.pop(0))
+        name = option[1].replace("-", "_")
+        text = ",".join(value if _PLAIN.fullmatch(value) else _quoted(value) for value in values)
+        overrides.append(f"{name}=[{text}]" if len(values) > 1 else f"{name}={text if values else 'true'}")
+    return overrides
+
+
+def _begins_something(word: str) -> bool:
+    return (word.startswith("-") and not _NUMBER.fullmatch(word)) or re.match(r"[a-z][\w.@/]*=", word) is not None
+
+
+def _quoted(value: str) -> str:
+    escaped = value.replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def groups() -> list[str]:
+    """The configuration groups: the folders of ``conf/``."""
+    return [path.name for path in resources.files("uarm_rl.conf").iterdir() if path.is_dir()]
+
+
+#: What a user of this program needs of Hydra. Its other switches and settings (callbacks, search paths, logging)
+#: could run code that a configuration names.
+_FLAGS: Final = ("-m", "--multirun", "-h", "--help", "-c", "--cfg")
+_HYDRA_OVERRIDES: Final = ("hydra/launcher=basic", "hydra/launcher=joblib")
+
+
+def check(words: list[str]) -> None:
+    """Raises :class:`UsageError` for words that no command takes, or that could run what a configuration names."""
+    command, *rest = words
+    if command not in COMMANDS:
+        near = difflib.get_close_matches(command, COMMANDS, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(COMMANDS)}"
+        raise UsageError(f"there is no command {command!r}; {hint}")
+    for word in rest:
+        if word.startswith("-") and word not in _FLAGS:
+            raise UsageError(f"{word} is no option of uarm-rl {command}; it takes name=value or --name value, -m and --help")
+        if word.startswith(("+", "~")):
+            raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
+        if word.startswith("hydra") and word not in _HYDRA_OVERRIDES and not _is_job_count(word):
+            raise UsageError(f"{word} is not for the command line; of Hydra's own settings only hydra/launcher=joblib is")
+        name, _, value = word.partition("=")
+        if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
+            raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
+
+
+def _is_job_count(word: str) -> bool:
+    name, _, value = word.partition("=")
+    return name == "hydra.launcher.n_jobs" and value.lstrip("-").isdigit()

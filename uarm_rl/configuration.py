@@ -1,0 +1,245 @@
+"""From configuration to objects: what is composed from ``conf/`` or read from a run becomes what it describes.
+
+The command line is the only caller; below it everything takes plain arguments. Classes are chosen by name from the
+open sets, never by a dotted path in a file: the configuration in a downloaded run is data, not code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from uarm_rl import checks
+from uarm_rl.checks import UsageError
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from uarm_rl.task.env import UArmSuctionEnv
+    from uarm_rl.task.policy import Policy
+
+Settings = dict[str, Any]
+
+# The open sets
+
+
+def _holds() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.task.hold import FixedHold, UntilSteady
+
+    return {"fixed": FixedHold, "until_steady": UntilSteady}
+
+
+def _admissions() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.learn.admission import AdmitAll, NotStuck
+
+    return {"all": AdmitAll, "not_stuck": NotStuck}
+
+
+def _rewards() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.task.reward import DistanceReward
+
+    return {"plain": DistanceReward, "penalty": DistanceReward}
+
+
+def _noises() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.learn.noise import Gaussian, OrnsteinUhlenbeck
+
+    return {"ornstein_uhlenbeck": OrnsteinUhlenbeck, "gaussian": Gaussian}
+
+
+def _servos() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.sim.servo import Instant, SecondOrder, Stepper
+
+    return {"second_order": SecondOrder, "stepper": Stepper, "instant": Instant}
+
+
+def _agents() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.learn.ddpg import DDPG
+
+    return {"ddpg": DDPG}
+
+
+def _cameras() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.real.vision.camera import OpenMVCamera, StillImages, Webcam
+
+    def file(path: str) -> StillImages:
+        return StillImages(Path(path))
+
+    return {"openmv": OpenMVCamera, "webcam": Webcam, "file": file, "none": nullcontext}
+
+
+def _detectors() -> dict[str, Callable[..., Any]]:
+    from uarm_rl.real.vision.detection import ColourDetector, MarkerDetector
+
+    return {"colour": ColourDetector, "marker": MarkerDetector}
+
+
+#: The open sets: configuration group -> its classes by name. Functions, so that a command imports only what it uses.
+OPEN_SETS: Final = {
+    "hold": _holds,
+    "admission": _admissions,
+    "reward": _rewards,
+    "noise": _noises,
+    "servo": _servos,
+    "agent": _agents,
+    "camera": _cameras,
+    "detector": _detectors,
+}
+
+
+def build(group: str, settings: Mapping[str, Any], **runtime: Any) -> Any:
+    """The object that a configuration group describes: its class by ``name``, the other keys as arguments.
+
+    Raises :class:`ValueError` with a sentence for a name or a key that does not exist, or a value out of range.
+    """
+    classes = OPEN_SETS[group]()
+    arguments = checks.mapping(group, settings)
+    name = arguments.pop("name", None)
+    if name not in classes:
+        raise ValueError(f"{group} has no {name!r}; choose one of {', '.join(classes)}")
+    try:
+        return classes[name](**arguments, **runtime)
+    except TypeError as error:  # a missing or an unknown argument
+        raise ValueError(f"the keys of {group}={name} do not fit: {error}") from error
+
+
+def build_env(
+    settings: Settings,
+    *,
+    time_limit_s: float | None,
+    render_mode: str | None = None,
+    picture_size: tuple[int, int] = (480, 360),
+) -> UArmSuctionEnv:
+    """The suction task over the simulated arm, from a whole training configuration.
+
+    A window opens for ``render_mode="human"`` alone: ``sim.gui`` is for the one environment that somebody watches.
+    """
+    from uarm_rl.sim.pybullet_arm import SimArm
+    from uarm_rl.task.env import UArmSuctionEnv
+
+    sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
+    try:
+        arm = SimArm(build("servo", settings["servo"]), control_hz=settings["control_hz"], **sim)
+    except TypeError as error:
+        raise ValueError(f"the keys of sim do not fit: {error}") from error
+    return UArmSuctionEnv(
+        arm,
+        arm,
+        build("reward", settings["reward"]),
+        build("hold", settings["buffer"]["hold"]),
+        control_hz=settings["control_hz"],
+        max_delta_rad=settings["max_delta_rad"],
+        tolerance_m=settings["tolerance_m"],
+        dwell_s=settings["dwell_s"],
+        time_limit_s=time_limit_s,
+        object_height_m=sim["object_size_m"],
+        render_mode=render_mode,
+        take_picture=partial(arm.render, *picture_size),
+    )
+
+
+def make_env(overrides: tuple[str, ...] = (), render_mode: str | None = None) -> UArmSuctionEnv:
+    """Entry point of ``gymnasium.make("uarm_rl/UArmSuction-v0")``; ``overrides`` as on the command line of train."""
+    settings = compose("train", overrides)
+    render_mode = render_mode or ("human" if settings["sim"]["gui"] else None)
+    return build_env(settings, time_limit_s=settings["time_limit_s"], render_mode=render_mode)
+
+
+def compose(command: str, overrides: tuple[str, ...] = ()) -> Settings:
+    """The configuration of a command as a plain dict, with ``overrides`` as on the command line."""
+    import hydra
+
+    with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
+        return plain(hydra.compose(command.replace("-", "_"), list(overrides)))
+
+
+def plain(cfg: DictConfig) -> Settings:
+    """A configuration as a plain dict, interpolations resolved. Raises :class:`UsageError` for a missing value."""
+    from omegaconf import OmegaConf
+
+    if missing := OmegaConf.missing_keys(cfg):
+        raise UsageError(f"{min(missing)}=VALUE is needed; --help tells what it is")
+    settings = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(settings, dict)
+    return {str(key): value for key, value in settings.items()}
+
+
+# What was trained
+
+
+def value_range(settings: Settings) -> tuple[float, float]:
+    """Lowest and highest value that a state can have: a step's reward at its bounds, for ever."""
+    from uarm_rl.task.kinematics import HEIGHT_M, REACH_M
+
+    gamma = settings["agent"]["gamma"]
+    horizon = 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
+    lowest, highest = build("reward", settings["reward"]).bounds(2.0 * REACH_M, HEIGHT_M)
+    return lowest * horizon, highest * horizon
+
+
+def policy_metadata(settings: Settings) -> Settings:
+    """What a user of the policy has to know to run it as it was trained."""
+    return {
+        "max_delta_rad": settings["max_delta_rad"],
+        "control_hz": settings["control_hz"],
+        "hold": settings["buffer"]["hold"],
+        "servo": settings["servo"],
+        "tolerance_m": settings["tolerance_m"],
+        "dwell_s": settings["dwell_s"],
+        "buffer": settings["buffer"]["name"],
+        "reward": settings["reward"]["name"],
+        "episodes": settings["episodes"],
+        "seed": settings["seed"],
+    }
+
+
+_MAX_CONFIG_BYTES: Final = 1 << 20
+
+
+def read_run(run_dir: Path) -> Settings:
+    """The configuration that a run was trained with. Raises :class:`UsageError` if the folder holds no run."""
+    import yaml
+
+    from uarm_rl import files
+    from uarm_rl.learn.run import CONFIG
+
+    if not run_dir.is_dir():
+        raise UsageError(f"there is no run folder {run_dir}; a run is results/NAME/seedN, made by uarm-rl train")
+    path = run_dir / CONFIG
+    try:
+        text = files.read(path, at_most=_MAX_CONFIG_BYTES).decode()
+        depth = 0
+        for event in yaml.parse(text, yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent) or depth > 20:
+                raise UsageError(f"{path} refers to its own parts or is nested too deeply; uarm-rl writes no such file")
+        settings = yaml.safe_load(text)
+    except FileNotFoundError:
+        raise UsageError(f"{run_dir} holds no {CONFIG}; a run is results/NAME/seedN, made by uarm-rl train") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UsageError(f"{path} is damaged: {' '.join(str(error).split())}") from None
+    needed = ("sim", "servo", "reward", "buffer", "control_hz", "max_delta_rad", "tolerance_m", "dwell_s", "time_limit_s")
+    missing = [key for key in needed if not isinstance(settings, dict) or key not in settings]
+    if missing:
+        raise UsageError(f"{path} lacks {missing[0]}; it was not written by uarm-rl train")
+    for group in ("sim", "servo", "reward", "buffer"):
+        checks.mapping(group, settings[group])
+    checks.number("time_limit_s", settings["time_limit_s"], low=0.0, open_low=True)
+    return dict(settings)
+
+
+def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
+    """The policy of a run, or with the name ``ik`` the controller. Raises :class:`UsageError` if there is none."""
+    from uarm_rl.task.policy import FILE, ActorPolicy, InverseKinematicsPolicy
+
+    if name == "ik":
+        return InverseKinematicsPolicy(settings["max_delta_rad"])
+    if name is not None:
+        raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give policy=ik")
+    if not (run_dir / FILE).exists():
+        raise UsageError(f"{run_dir} holds no {FILE}: its training is not finished; continue it with resume=true")
+    return ActorPolicy.load(run_dir / FILE)

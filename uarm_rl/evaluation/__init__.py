@@ -1,0 +1,1 @@
+"""Testing policies on fixed positions, and filming them."""

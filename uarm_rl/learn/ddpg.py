@@ -1,0 +1,238 @@
+"""Deep deterministic policy gradient (Lillicrap et al. 2016), as section 3.5 of the paper uses it.
+
+The networks are small, so the time of an update is its ten 128 x 400 x 300 matrix products plus overhead. Autograd is
+that overhead's largest part: here the two backward passes are written out, on flat parameter vectors, and
+compute only the gradients that are used. Tests hold them to ``torch.autograd``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uarm_rl import checks
+from uarm_rl.learn.replay import Batch
+from uarm_rl.task import observation
+from uarm_rl.task.policy import ActorPolicy, scale
+
+#: An output of the actor beyond this counts as saturated: the slope of its tanh is below 0.02.
+_SATURATED: Final = 0.99
+
+
+class DivergenceError(ArithmeticError):
+    """A number of the training is not finite; the message names it."""
+
+
+class Network:
+    """A fully connected network, ReLU after each hidden layer, linear at the output.
+
+    Parameters and their gradients live in two flat vectors given by the caller; layers are views of them.
+    """
+
+    def __init__(self, sizes: Sequence[int], parameters: Tensor, gradient: Tensor | None = None) -> None:
+        self.layers = self._views(sizes, parameters)
+        self._gradients = [] if gradient is None else self._views(sizes, gradient)
+        self._inputs: list[Tensor] = []
+        self._buffers: dict[tuple[str, int], Tensor] = {}
+
+    @staticmethod
+    def size(sizes: Sequence[int]) -> int:
+        """Number of parameters of a network with these layer widths."""
+        return sum((inputs + 1) * outputs for inputs, outputs in itertools.pairwise(sizes))
+
+    @staticmethod
+    def _views(sizes: Sequence[int], flat: Tensor) -> list[tuple[Tensor, Tensor]]:
+        views, start = [], 0
+        for inputs, outputs in itertools.pairwise(sizes):
+            weight = flat[start : start + inputs * outputs].view(inputs, outputs)
+            start += inputs * outputs
+            views.append((weight, flat[start : start + outputs]))
+            start += outputs
+        return views
+
+    def initialise(self, generator: torch.Generator, final: float) -> None:
+        """Uniform in +-1/sqrt(inputs), the last layer in +-``final`` (Lillicrap et al. 2016, section 7)."""
+        for weight, bias in self.layers:
+            bound = final if weight is self.layers[-1][0] else 1.0 / math.sqrt(weight.shape[0])
+            weight.uniform_(-bound, bound, generator=generator)
+            bias.uniform_(-bound, bound, generator=generator)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Output for a batch, shape (n, outputs), valid until the next call; the layers' inputs are kept for ``backward``."""
+        self._inputs = []
+        for number, (weight, bias) in enumerate(self.layers):
+            if number:
+                x.relu_()
+            self._inputs.append(x)
+            x = torch.addmm(bias, x, weight, out=self._buffer("forward", number, len(x), weight.shape[1]))
+        return x
+
+    def backward(self, gradient: Tensor) -> None:
+        """Write the gradients of the parameters, given the loss's ``gradient`` at the last output."""
+        for number in reversed(range(len(self.layers))):
+            into_weight, into_bias = self._gradients[number]
+            torch.mm(self._inputs[number].t(), gradient, out=into_weight)
+            torch.sum(gradient, 0, out=into_bias)
+            if number:
+                gradient = self._through(number, gradient)
+
+    def input_gradient(self, gradient: Tensor, first: int) -> Tensor:
+        """The loss's gradient at the inputs from column ``first`` on, given it at the last output."""
+        for number in reversed(range(1, len(self.layers))):
+            gradient = self._through(number, gradient)
+        return torch.mm(gradient, self.layers[0][0][first:].t())
+
+    def _through(self, number: int, gradient: Tensor) -> Tensor:
+        """From the output of layer ``number`` to the output of the layer before, across its ReLU."""
+        weight = self.layers[number][0]
+        buffer = self._buffer("backward", number, len(gradient), weight.shape[0])
+        torch.mm(gradient, weight.t(), out=buffer)
+        torch.ops.aten.threshold_backward.grad_input(buffer, self._inputs[number], 0, grad_input=buffer)
+        return buffer
+
+    def _buffer(self, direction: str, number: int, rows: int, columns: int) -> Tensor:
+        """Memory for one layer's result, the same in every update: fresh pages from the system cost as much as a product."""
+        buffer = self._buffers.get((direction, number))
+        if buffer is None or len(buffer) != rows:
+            buffer = self._buffers[direction, number] = torch.empty(rows, columns)
+        return buffer
+
+
+def _forms(tensors: dict[str, Tensor]) -> dict[str, tuple[torch.Size, torch.dtype]]:
+    return {name: (tensor.shape, tensor.dtype) for name, tensor in tensors.items()}
+
+
+class DDPG:
+    """Actor, critic and their targets. Knows nothing of buffers, noise, steps or logs.
+
+    ``generator`` draws the initial parameters; after that an update is a pure function of its batch.
+    """
+
+    def __init__(
+        self,
+        *,
+        hidden: Sequence[int],
+        gamma: float,
+        tau: float,
+        actor_lr: float,
+        critic_lr: float,
+        final_layer_init: float,
+        action_size: int,
+        generator: torch.Generator,
+    ) -> None:
+        hidden = [checks.integer("agent.hidden", width, low=1, high=10_000) for width in hidden]
+        self.gamma = checks.number("agent.gamma", gamma, low=0.0, high=1.0)
+        self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
+        final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, open_low=True)
+        actor_sizes = [observation.SIZE, *hidden, action_size]
+        critic_sizes = [observation.SIZE + action_size, *hidden, 1]
+        split = Network.size(actor_sizes)
+        self.parameters = torch.empty(split + Network.size(critic_sizes))
+        self._gradient = torch.zeros_like(self.parameters)
+        self.actor = Network(actor_sizes, self.parameters[:split], self._gradient[:split])
+        self.critic = Network(critic_sizes, self.parameters[split:], self._gradient[split:])
+        self.actor.initialise(generator, final)
+        self.critic.initialise(generator, final)
+        self.target_parameters = self.parameters.clone()
+        self.target_actor = Network(actor_sizes, self.target_parameters[:split])
+        self.target_critic = Network(critic_sizes, self.target_parameters[split:])
+        self._optimizers = {
+            "actor": self._adam(slice(None, split), checks.number("agent.actor_lr", actor_lr, low=0.0, open_low=True)),
+            "critic": self._adam(slice(split, None), checks.number("agent.critic_lr", critic_lr, low=0.0, open_low=True)),
+        }
+
+    def _adam(self, part: slice, learning_rate: float) -> torch.optim.Adam:
+        parameters = self.parameters[part]
+        parameters.grad = self._gradient[part]
+        optimizer = torch.optim.Adam([parameters], lr=learning_rate, fused=True)
+        optimizer.state[parameters] = {  # as Adam itself would begin; made here so that it can be saved at any time
+            "step": torch.zeros(()),
+            "exp_avg": torch.zeros_like(parameters),
+            "exp_avg_sq": torch.zeros_like(parameters),
+        }
+        return optimizer
+
+    def policy(self, metadata: dict[str, Any]) -> ActorPolicy:
+        """The actor as a policy that follows every later update (its weights are views of this agent's)."""
+        layers = [(weight.numpy(), bias.numpy()) for weight, bias in self.actor.layers]
+        return ActorPolicy(layers, offset=observation.OFFSET, scale=observation.SCALE, metadata=metadata)
+
+    def update(self, batch: Batch) -> dict[str, float]:
+        """One gradient step of critic and actor, one soft step of the targets.
+
+        Returns the two losses, the range of Q(s, mu(s)) over the batch, and ``saturation``, the share of the actor's
+        outputs so close to -1 or 1 that hardly any gradient comes back through the tanh.
+
+        Raises :class:`DivergenceError` when a loss is not finite, as it is in the update after a weight became so.
+        """
+        # The moments of weights that no longer learn fade into denormal numbers, which are slow. Elsewhere in this
+        # process (in the physics) they keep their meaning, so that it computes what it computes in a process of its own.
+        torch.set_flush_denormal(True)
+        try:
+            with torch.no_grad():
+                return self._update(batch)
+        finally:
+            torch.set_flush_denormal(False)
+
+    def _update(self, batch: Batch) -> dict[str, float]:
+        observations, next_observations = scale(batch.observation), scale(batch.next_observation)
+        both = torch.from_numpy(np.concatenate((observations, batch.action), axis=1))
+        reward, terminated = torch.from_numpy(batch.reward), torch.from_numpy(batch.terminated)
+        size = len(reward)
+
+        # Critic: L = mean (y - Q(s, a))^2 with y = r + gamma Q'(s', mu'(s')); no future after a termination.
+        x = torch.from_numpy(next_observations)
+        next_action = self.target_actor.forward(x).tanh_()
+        next_q = self.target_critic.forward(torch.cat((x, next_action), 1))
+        error = self.critic.forward(both) - (reward + self.gamma * (1.0 - terminated) * next_q)
+        self.critic.backward(error * (2.0 / size))
+        self._optimizers["critic"].step()
+
+        # Actor: ascend Q(s, mu(s)), the deterministic policy gradient (eq. 3).
+        x = torch.from_numpy(observations)
+        action = self.actor.forward(x).tanh_()
+        q = self.critic.forward(torch.cat((x, action), 1))
+        into_action = self.critic.input_gradient(torch.full((size, 1), -1.0 / size), observation.SIZE)
+        self.actor.backward(into_action * (1.0 - action * action))
+        self._optimizers["actor"].step()
+
+        self.target_parameters.lerp_(self.parameters, self.tau)
+        lowest, highest = q.aminmax()
+        metrics = {
+            "critic_loss": error.square().mean().item(),
+            "actor_loss": -q.mean().item(),
+            "q_min": lowest.item(),
+            "q_max": highest.item(),
+            "saturation": action.abs().gt_(_SATURATED).mean().item(),
+        }
+        if not all(math.isfinite(metric) for metric in metrics.values()):
+            raise DivergenceError(f"training diverged: {self._not_finite(batch)} no longer finite; the last checkpoint is good")
+        return metrics
+
+    def _not_finite(self, batch: Batch) -> str:
+        """Names of what holds numbers that are not finite, causes before their consequences."""
+        fields = {f"the batch's {name}": torch.from_numpy(field) for name, field in batch._asdict().items()}
+        held = fields | {"the gradient": self._gradient} | self.tensors()
+        return ", ".join(name for name, tensor in held.items() if not tensor.isfinite().all()) or "the loss"
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Everything an exact resume needs, by name: parameters, targets, both optimisers' moments and steps."""
+        tensors = {"parameters": self.parameters, "target_parameters": self.target_parameters}
+        for name, optimizer in self._optimizers.items():
+            (state,) = optimizer.state.values()
+            tensors |= {f"{name}_{key}": value for key, value in state.items()}
+        return tensors
+
+    def load_tensors(self, tensors: dict[str, Tensor]) -> None:
+        """Take over what ``tensors()`` of another agent of the same shape gave; ``ValueError`` if it does not fit."""
+        own = self.tensors()
+        if _forms(own) != _forms(tensors):
+            raise ValueError("the checkpoint holds networks of another shape than agent.hidden describes")
+        for name, value in tensors.items():
+            own[name].copy_(value)

@@ -1,0 +1,1 @@
+"""Tables and figures, from the CSV files of the runs and nothing else."""

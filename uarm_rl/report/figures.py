@@ -1,0 +1,237 @@
+"""The report's pictures, as a person would put them in a paper: from curves to PNG, nothing read and nothing computed."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+import pandas as pd
+
+from uarm_rl.report import tables
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from uarm_rl.report.records import Method
+
+#: The buffers of the ablations, in further colours of Okabe and Ito; the paper's two as in methods C and D.
+_BUFFERS: Final = {
+    "adaptive": "#009E73",
+    "uniform": "#CC79A7",
+    "steady_only": "#56B4E9",
+    "unstuck_only": "#D55E00",
+    "fixed_hold": "#0072B2",
+}
+
+
+def picture(draw: Callable[[Figure], None], height_in: float = 4.4) -> bytes:
+    """A PNG as wide as a column of a paper, the same bytes every time and whatever matplotlibrc says."""
+    import matplotlib.style
+    from matplotlib.figure import Figure
+
+    small = {"font.size": 7, "figure.labelsize": 7, "axes.titlesize": 7, "axes.linewidth": 0.6, "lines.linewidth": 0.8}
+    with matplotlib.style.context(["default", small, {"axes.grid": True, "grid.linewidth": 0.3}]):
+        figure = Figure(figsize=(3.5, height_in), dpi=300, layout="constrained")
+        draw(figure)
+        handles = {
+            label: handle for axes in figure.axes for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        if handles:
+            figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=2, frameon=False)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def draw_rewards(figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame]) -> None:
+    """The paper's Fig. 3, one row of panels a method: over each other, four curves of 100 points hide each other."""
+    grid = figure.subplots(len(methods), 2, sharex=True, sharey="col")
+    for method, row in zip(methods, grid, strict=True):
+        for axes, value in zip(row, ("common_return", "return"), strict=True):
+            _draw(axes, method, curves[method.folder], "position", value)
+            axes.axhline(curves[method.folder][f"{value}_mean"].mean(), color="black", linewidth=0.6, linestyle="--")
+            _mark_empty(axes, "not evaluated")
+        row[0].set_ylabel(method.label, rotation=0, weight="bold", ha="right", va="center")
+    grid[0, 0].set_title("same reward for all methods")
+    grid[0, 1].set_title("method's own reward")
+    figure.supxlabel("Test position (number)")
+    figure.supylabel("Return (sum of rewards, no unit); dashed: mean over positions")
+
+
+def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame], *, smoothed_over: int) -> None:
+    """How success on the validation positions and the return of training grow with the stored experiences."""
+    from matplotlib.ticker import SymmetricalLogLocator
+
+    above, below = figure.subplots(2, 1, sharex=True)
+    for axes, value in ((above, "validation_success_rate"), (below, "smoothed_return")):
+        for method in methods:
+            _draw(axes, method, curves[method.folder], "experiences", value)
+        _mark_empty(axes, "no data of A, B, C or D")
+    _success_axis(above, "Success on validation positions (%)")
+    below.set(ylabel=f"Return of a training episode\n(own reward, mean of {smoothed_over} episodes)")
+    below.set_yscale("symlog", linthresh=10.0)  # the first episodes go far down
+    below.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=10.0, subs=(1.0, 2.0, 5.0)))
+    below.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    below.set(xlabel="Stored experiences (thousands)")
+    below.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
+
+
+def draw_tolerance(figure: Figure, methods: Sequence[Method], table: pd.DataFrame) -> None:
+    """How success on the test positions falls with the tolerance."""
+    axes = figure.subplots()
+    for method in methods:
+        rows = table[table["method"] == method.label]
+        label = f"{method.label}: {method.buffer}, {method.reward}"
+        _points(axes, 1000.0 * rows["tolerance_m"], rows, method.colour, label)
+    axes.set(xlabel="Tolerance (mm)", xscale="log")
+    _ticks(axes, sorted({1000.0 * tolerance_m for tolerance_m in table["tolerance_m"]}))
+    _success_axis(axes, "Success on the test positions (%)")
+
+
+def draw_holds(figure: Figure, table: pd.DataFrame) -> None:
+    """Success of each method under each hold; bold is the one it was trained with."""
+    axes = figure.subplots()
+    labels, tested = (list(dict.fromkeys(table[column])) for column in ("method", "tested_hold"))
+    rates = table.pivot(index="method", columns="tested_hold", values="success_rate").loc[labels, tested]
+    axes.imshow(rates, vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto")
+    for row in tables.records(table):
+        x, y = tested.index(row["tested_hold"]), labels.index(row["method"])
+        colour = "black" if row["success_rate"] > 0.5 else "white"
+        weight = "bold" if row["tested_hold"] == row["trained_hold"] else "normal"
+        axes.text(x, y, tables.percent(row["success_rate"]), ha="center", va="center", color=colour, weight=weight)
+    axes.set_xticks(range(len(tested)), tested)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.grid(visible=False)
+    axes.set(xlabel="Tested with (bold: trained with)", ylabel="Method")
+
+
+def draw_budgets(
+    figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame], rate: str, budgets: Mapping[str, str]
+) -> None:
+    """Validation success against each of four budgets, which differ by powers of ten."""
+    grid = figure.subplots(2, 2, sharey=True).flat
+    for axes, (budget, words) in zip(grid, budgets.items(), strict=True):
+        for method in methods:
+            _draw(axes, method, curves[method.folder], budget, rate)
+        axes.set(xlabel=words, xscale="log")
+        _success_axis(axes, "")
+    figure.supylabel("Success on validation positions (%)")
+
+
+def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, position: int) -> None:
+    """One episode of each method: the tip around the object from above, its height, and the joints over time."""
+    above, beside, joints = figure.subplots(3, len(traces), sharex="row", sharey="row", height_ratios=(1.4, 1, 1))
+    for number, (method, trace) in enumerate(traces.items()):
+        target = trace[["object_x_m", "object_y_m", "object_z_m"]].to_numpy()
+        tip = 1000.0 * (trace[["cup_x_m", "cup_y_m", "cup_z_m"]].to_numpy() - target[0])
+        above[number].set_title(f"{method.label}: {method.buffer}, {method.reward}")
+        above[number].plot(tip[:, 0], tip[:, 1], color=method.colour, linewidth=0.6, marker=".", markersize=1.5)
+        above[number].plot(*(1000.0 * (target[[-1], :2] - target[0, :2]).T), "k+", markersize=5)
+        above[number].set(xlim=(-40, 40), ylim=(-40, 40), xlabel="x from the object (mm)", aspect="equal")
+        beside[number].plot(trace["time_s"], tip[:, 2], color=method.colour)
+        beside[number].set(ylim=(-8, 40))
+        for joint, style in (("joint1_rad", "-"), ("joint2_rad", "--"), ("joint3_rad", ":")):
+            degrees = trace[joint] * 180.0 / math.pi
+            joints[number].plot(trace["time_s"], degrees, color=method.colour, linestyle=style)
+        joints[number].set(xlabel="Time (s)")
+    above[0].set(ylabel="y from the object (mm)")
+    beside[0].set(ylabel="Height above\nthe object (mm)")
+    joints[0].set(ylabel="Joints 1 (solid),\n2 (dashed), 3 (°)")
+    figure.suptitle(f"Test position {position}; +: the object at the end", fontsize=7)
+
+
+def draw_runs(figure: Figure, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame], rate: str) -> None:
+    """A few kinds of run beside each other: success of the final policies, and on the way there."""
+    final, learning = figure.subplots(2, 1, height_ratios=(1, 1.4))
+    for number, row in enumerate(tables.records(table)):
+        colour = _BUFFERS.get(row["buffer"], "black")
+        _points(final, pd.Series([number]), pd.DataFrame([row]), colour, row["buffer"])
+        curve = curves[row["run"]]
+        learning.plot(curve["experiences"], curve[f"{rate}_mean"], color=colour)
+        learning.fill_between(curve["experiences"], curve[f"{rate}_min"], curve[f"{rate}_max"], color=colour, alpha=0.2, lw=0)
+    final.set_xticks(range(len(table)), table["buffer"])
+    final.set_xlim(-0.5, len(table) - 0.5)
+    _success_axis(final, "Success on the\ntest positions (%)")
+    learning.set(xlabel="Stored experiences (thousands)")
+    learning.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
+    _success_axis(learning, "Success on validation\npositions (%)")
+
+
+def draw_servo_sweep(figure: Figure, table: pd.DataFrame) -> None:
+    """Success of waiting and not waiting for servos from instant to slow."""
+    axes = figure.subplots()
+    for buffer, rows in table.groupby("buffer"):
+        _points(axes, rows["servo_rise_s"], rows, _BUFFERS.get(str(buffer), "black"), str(buffer))
+    axes.set(xlabel="Rise time of the servo, 10 to 90 % (s)", xscale="log")
+    _ticks(axes, sorted(set(table["servo_rise_s"].dropna())))
+    _success_axis(axes, "Success on the test positions (%)")
+
+
+def draw_settings(figure: Figure, table: pd.DataFrame) -> None:
+    """Success of waiting and not waiting with one constant changed at a time."""
+    axes = figure.subplots()
+    settings = list(dict.fromkeys(table["setting"]))
+    for buffer, rows in table.groupby("buffer"):
+        colour = _BUFFERS.get(str(buffer), "black")
+        places = pd.Series([settings.index(setting) for setting in rows["setting"]])
+        _points(axes, places, rows, colour, str(buffer), line="")
+    axes.set_xticks(range(len(settings)), settings, rotation=30, ha="right")
+    axes.set(xlabel="Changed")
+    _success_axis(axes, "Success on the test positions (%)")
+
+
+def draw_sigma_sweep(figure: Figure, table: pd.DataFrame) -> None:
+    """How far the object is moved, while learning and afterwards, and how often the cup arrives, as that is punished more."""
+    learning, tested, success = figure.subplots(3, 1, sharex=True)
+    places = pd.Series(range(len(table)))
+    colour = _BUFFERS["adaptive"]
+    learning.plot(places, 1000.0 * table["training_displacement_m"], color=colour, marker=".")
+    learning.set(ylabel="Moved while learning\n(mm an object)", ylim=(0, None))
+    millimetres = 1000.0 * table["object_displacement_m"].to_numpy()
+    below = millimetres - 1000.0 * table["object_displacement_low"].to_numpy()
+    over = 1000.0 * table["object_displacement_high"].to_numpy() - millimetres
+    tested.errorbar(places, millimetres, yerr=(below.clip(0), over.clip(0)), color=colour, marker=".", capsize=2)
+    tested.set(ylabel="Moved in the test\n(mm an object)", ylim=(0, None))
+    _points(success, places, table, colour, "")
+    success.set_xticks(places, [f"{sigma:g}" for sigma in table["sigma"]])
+    success.set(xlabel="Sigma (1/m)")
+    _success_axis(success, "Success on the\ntest positions (%)")
+
+
+def _points(axes: Axes, x: pd.Series[float], rows: pd.DataFrame, colour: str, label: str, line: str = "-") -> None:
+    """Success rates with their 95 % intervals, joined by ``line``."""
+    if len(rows):
+        rate = rows["success_rate"].to_numpy()
+        below, over = rate - rows["ci_low"].to_numpy(), rows["ci_high"].to_numpy() - rate
+        spread = (below.clip(0), over.clip(0))
+        bars = axes.errorbar(x, rate, yerr=spread, color=colour, marker=".", linestyle=line, capsize=2, elinewidth=0.6)
+        bars.set_label(label)
+
+
+def _success_axis(axes: Axes, words: str) -> None:
+    axes.set(ylabel=words, ylim=(-0.03, 1.03))
+    axes.yaxis.set_major_formatter(lambda rate, _: f"{100 * rate:.0f}")
+
+
+def _ticks(axes: Axes, values: Sequence[float]) -> None:
+    """The values themselves on a logarithmic axis, nothing between them."""
+    axes.set_xticks(values, [f"{value:.2g}" for value in values])
+    axes.set_xticks([], minor=True)
+
+
+def _draw(axes: Axes, method: Method, curve: pd.DataFrame, x: str, value: str) -> None:
+    """The mean over seeds as a line, in a band from the smallest to the largest seed."""
+    curve = curve.dropna(subset=[f"{value}_mean"])
+    if len(curve):
+        label = f"{method.label}: {method.buffer}, {method.reward}"
+        marker = "." if len(curve) < 100 else ""  # a line of one point would not be seen
+        axes.plot(curve[x], curve[f"{value}_mean"], color=method.colour, marker=marker, markersize=2, label=label)
+        axes.fill_between(curve[x], curve[f"{value}_min"], curve[f"{value}_max"], color=method.colour, alpha=0.25, linewidth=0)
+
+
+def _mark_empty(axes: Axes, words: str) -> None:
+    if not axes.collections:
+        axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", backgroundcolor="white")

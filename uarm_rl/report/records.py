@@ -1,0 +1,226 @@
+"""What the CSV files of the runs hold: every cell is checked, and a bad one is named; nothing is computed here."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import pandas as pd
+
+from uarm_rl import files
+
+#: The folders of the runs of each name, in the order of their seeds.
+Runs = Mapping[str, Sequence[Path]]
+
+
+#: Hidden folders, and names that a spreadsheet would take for formulas.
+_HIDDEN: Final = (".", "=", "+", "-", "@")
+
+
+class ReportError(ValueError):
+    """A sentence: why no report can be made of a folder, and what to do."""
+
+
+class Method(NamedTuple):
+    """A row of Table 1; ``folder`` is the run's ``name`` below the results folder."""
+
+    label: str
+    folder: str
+    buffer: str = ""
+    reward: str = ""
+    colour: str = ""
+
+
+#: The paper's four methods, in colours of Okabe and Ito (2008) that colour-blind readers can tell apart.
+METHODS: Final = (
+    Method("A", "adaptive-plain", "adaptive", "plain", "#0072B2"),
+    Method("B", "uniform-plain", "uniform", "plain", "#E69F00"),
+    Method("C", "adaptive-penalty", "adaptive", "penalty", "#009E73"),
+    Method("D", "uniform-penalty", "uniform", "penalty", "#CC79A7"),
+)
+INVERSE_KINEMATICS: Final = Method("IK", "ik")
+#: Method C trained against the firmware's own motion.
+REAL_ARM: Final = Method("real_arm", "real_arm", "adaptive", "penalty")
+
+#: Columns that say how restless an arm is: heading in the printed tables, factor to the heading's unit, decimals.
+SHAKING: Final = {
+    "reversals_per_s": ("Reversals (1/s)", 1.0, 2),
+    "rms_jerk": ("RMS jerk (m/s³)", 1.0, 1),
+    "tip_travel_last_s_m": ("Tip travel (mm, last second)", 1000.0, 1),
+    "time_s": ("Time (s)", 1.0, 2),
+    "object_displacement_m": ("Object moved (mm)", 1000.0, 1),
+}
+
+
+class Kind(NamedTuple):
+    """What the cells of a column may hold; an empty cell is NaN, one without a finite number infinity."""
+
+    allows: Callable[[float], bool]
+    words: str
+
+
+_FINITE: Final = Kind(math.isfinite, "a finite number")
+_WHOLE: Final = Kind(lambda value: value.is_integer() and abs(value) < 2**53, "a whole number")
+_OUTCOME: Final = Kind(lambda value: value in (0.0, 1.0), "0 or 1")
+_RATE: Final = Kind(lambda value: 0.0 <= value <= 1.0, "a number from 0 to 1")
+_RATE_OR_EMPTY: Final = Kind(lambda value: math.isnan(value) or 0.0 <= value <= 1.0, "empty or a number from 0 to 1")
+
+Columns = Mapping[str, Kind | None]  # None: text
+
+RETURNS: Final = ("common_return", "return")
+EVALUATION: Final[Columns] = {
+    "position": _WHOLE,
+    "success": _OUTCOME,
+    **dict.fromkeys((*RETURNS, *SHAKING), _FINITE),
+    "tolerance_m": _FINITE,
+    "hold": None,
+    "control_hz": _FINITE,
+    "servo_rise_s": _FINITE,
+    "sigma": _FINITE,
+}
+#: Columns that older evaluations lack: NaN or an empty text there.
+_NEWER: Final = ("tolerance_m", "hold", "control_hz", "servo_rise_s", "sigma")
+BUDGETS: Final = ("experiences", "updates", "decisions", "control_steps")
+PROGRESS: Final[Columns] = {
+    "episode": _WHOLE,
+    **dict.fromkeys(BUDGETS, _WHOLE),
+    "episode_return": _FINITE,
+    "validation_success_rate": _RATE_OR_EMPTY,
+}
+#: Further columns of the log, on what the object suffered while the policy learned.
+DISTURBANCE: Final[Columns] = {"successes": _WHOLE, "object_losses": _WHOLE, "object_moved_m": _FINITE}
+TRACES: Final[Columns] = {
+    "position": _WHOLE,
+    "time_s": _FINITE,
+    **dict.fromkeys((f"joint{number}_rad" for number in (1, 2, 3)), _FINITE),
+    **dict.fromkeys((f"{what}_{axis}_m" for what in ("cup", "object") for axis in "xyz"), _FINITE),
+}
+
+#: Columns of ``trials.csv`` that the report needs.
+TRIALS: Final = {"success": _OUTCOME, "reached": _OUTCOME, "emulated": _OUTCOME}
+
+_REMEDIES: Final = {
+    "evaluation.csv": "delete it and run `uarm-rl evaluate`",
+    "progress.csv": "restore it, or train again with `uarm-rl train overwrite=true`",
+    "trials.csv": "delete it and run `uarm-rl run-real`",
+    "paper.csv": "restore it, or delete it to use the packaged one",
+}
+
+
+def find_runs(results_dir: Path) -> dict[str, list[Path]]:
+    """The run folders of each ``name`` below ``results_dir``, in order."""
+    if not results_dir.is_dir():
+        raise ReportError(f"{results_dir} is not a folder; name one with results_dir=PATH or make one with `uarm-rl train`")
+    runs: dict[str, list[Path]] = {}
+    for folder in results_dir.glob("*/seed*"):
+        is_run = (folder / "progress.csv").exists() or (folder / "evaluation.csv").exists()
+        if is_run and re.fullmatch(r"seed\d+", folder.name) and not folder.parent.name.startswith(_HIDDEN):
+            runs.setdefault(folder.parent.name, []).append(folder)
+    return {name: sorted(runs[name], key=seed_number) for name in sorted(runs)}
+
+
+def seed_number(folder: Path) -> int:
+    """The seed that a run's folder is named after."""
+    return int(folder.name.removeprefix("seed"))
+
+
+def methods(runs: Runs) -> list[Method]:
+    """The paper's four, run or not; then whatever else was run."""
+    others = [method for method in (INVERSE_KINEMATICS, REAL_ARM) if method.folder in runs]
+    known = {method.folder for method in (*METHODS, *others)}
+    return [*METHODS, *others, *(Method(folder, folder) for folder in sorted(set(runs) - known))]
+
+
+def read_seeds(folders: Sequence[Path], file: str, columns: Columns) -> pd.DataFrame:
+    """One file of every seed that has it, one below the other, with the column ``seed``."""
+    having = [folder for folder in folders if (folder / file).exists()]
+    none = pd.DataFrame(columns=[*columns, "seed"], dtype=float)
+    tables = [pd.DataFrame(read(folder / file, columns)).assign(seed=seed_number(folder)) for folder in having]
+    table: pd.DataFrame = pd.concat(tables, ignore_index=True) if tables else none
+    return table
+
+
+def read_evaluations(runs: Runs, file: str = "evaluation.csv") -> dict[str, pd.DataFrame]:
+    """The evaluations of every name, which must all have been made on the same positions, each once."""
+    evaluations = {name: read_seeds(folders, file, EVALUATION) for name, folders in runs.items()}
+    paths = {(name, seed_number(folder)): folder / file for name, folders in runs.items() for folder in folders}
+    first: tuple[Path, list[int]] | None = None
+    for name, rows in evaluations.items():
+        for seed, positions in rows.groupby("seed")["position"]:
+            path, numbers = paths[name, int(str(seed))], sorted(positions)
+            first = first or (path, numbers)
+            if len(set(numbers)) < len(numbers):
+                raise ReportError(f"{path} holds a position twice; {_remedy(path)}")
+            if numbers != first[1]:
+                spans = [f"{p.parent} ({len(n)} positions, {n[0]:g} to {n[-1]:g})" for p, n in (first, (path, numbers))]
+                command = "uarm-rl evaluate overwrite=true" + (f" out={file}" if file != "evaluation.csv" else "")
+                remedy = f"evaluate all runs on the same positions with `{command}`"
+                raise ReportError(f"{' and '.join(spans)} were evaluated on different positions; {remedy}")
+    return evaluations
+
+
+def read_paper(results_dir: Path) -> dict[str, float]:
+    """The paper's success rate of each method."""
+    with resources.as_file(resources.files("uarm_rl.report") / "paper.csv") as packaged:
+        own = results_dir / "paper.csv"
+        table = read(own if own.exists() else packaged, {"method": None, "success_rate": _RATE})
+    return dict(zip(table["method"], table["success_rate"], strict=True))
+
+
+def lacking(runs: Runs, file: str) -> str:
+    """How many of the evaluated runs lack ``file``, as in ``3 of 12 runs``; empty if none. The reference does not count."""
+    evaluated = [
+        folder
+        for name, folders in runs.items()
+        for folder in folders
+        if (folder / "evaluation.csv").exists() and name != INVERSE_KINEMATICS.folder
+    ]
+    without = [folder for folder in evaluated if not (folder / file).exists()]
+    return f"{len(without)} of {len(evaluated)} runs" if without else ""
+
+
+def read(path: Path, columns: Columns) -> dict[str, list[Any]]:
+    """The named columns of a CSV file: numbers of their kind, or text where the kind is ``None``."""
+    remedy = _remedy(path)
+    try:
+        text = io.StringIO(files.read(path).decode(), newline="")
+        header, *rows = [*csv.reader(text, strict=True)] or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ReportError(f"{path} cannot be read ({error}); {remedy}") from error
+    absent = [column for column in columns if column not in header]
+    if missing := [column for column in absent if column not in _NEWER]:
+        raise ReportError(f"{path} lacks the column {missing[0]}; {remedy}")
+    if not rows and path.name != "progress.csv":  # a training that has just begun has no row yet
+        raise ReportError(f"{path} holds no row below its header; {remedy}")
+    table: dict[str, list[Any]] = {column: [] for column in columns}
+    for line, row in enumerate(rows, start=2):
+        if len(row) != len(header):
+            raise ReportError(f"{path}, line {line}: {len(row)} values for {len(header)} columns; {remedy}")
+        for column, kind in columns.items():
+            if column in absent:
+                table[column].append("" if kind is None else math.nan)
+                continue
+            text = row[header.index(column)]
+            value = text if kind is None else _number(text)
+            if kind is not None and not kind.allows(value):
+                raise ReportError(f"{path}, line {line}: {column} is {text!r} and must be {kind.words}; {remedy}")
+            table[column].append(value)
+    return table
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text or "nan")
+    except ValueError:
+        return math.inf
+    return value if math.isfinite(value) or not text else math.inf
+
+
+def _remedy(path: Path) -> str:
+    return _REMEDIES.get(path.name, f"delete it and evaluate again, with out={path.name}")

@@ -1,0 +1,104 @@
+"""From rows to the report's CSV, Markdown and text tables: what all sections of the report share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from uarm_rl.report import statistics
+from uarm_rl.report.records import Method
+
+_BOOTSTRAP_SEED: Final = 20190701  # any fixed number: the same files give the same interval
+#: Draws times positions: a thousand positions get by with fewer draws than a hundred, in the same time.
+_BOOTSTRAP_WORK: Final = 1_000_000
+
+
+@dataclass
+class Section:
+    """A part of the report: its files, by their names, and remarks on what is missing and which command makes it."""
+
+    contents: dict[str, bytes] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+
+
+def generator() -> np.random.Generator:
+    """The randomness of one bootstrap: the same every time."""
+    return np.random.default_rng(_BOOTSTRAP_SEED)
+
+
+def outcomes(rows: pd.DataFrame, value: str = "success") -> NDArray[np.float64]:
+    """A column of an evaluation as an array, shape (seeds, positions)."""
+    array: NDArray[np.float64] = rows.pivot(index="seed", columns="position", values=value).to_numpy(np.float64)
+    return array
+
+
+def resamples(rows: pd.DataFrame) -> int:
+    """How often to draw for a bootstrap over these rows."""
+    return min(10_000, _BOOTSTRAP_WORK // max(1, rows["position"].nunique()))
+
+
+def success(rows: pd.DataFrame) -> dict[str, Any]:
+    """``seeds``, ``success_rate``, ``ci_low`` and ``ci_high`` of one method's evaluation; NaN where nothing is known."""
+    low, high = math.nan, math.nan
+    if len(rows):
+        low, high = statistics.success_interval(outcomes(rows), generator(), resamples=resamples(rows))
+    return {"seeds": rows["seed"].nunique(), "success_rate": rows["success"].mean(), "ci_low": low, "ci_high": high}
+
+
+def over_seeds(rows: pd.DataFrame, key: str, values: Sequence[str], **further: tuple[str, str]) -> pd.DataFrame:
+    """For each ``key`` the number of seeds, and mean, min and max over them of each value."""
+    spread = {f"{value}_{how}": (value, how) for value in values for how in ("mean", "min", "max")}
+    groups = rows.astype({key: int}).groupby(key, as_index=False)
+    table: pd.DataFrame = groups.agg(seeds=("seed", "nunique"), **further, **spread)
+    return table
+
+
+def stacked(methods: Sequence[Method], curves: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """The curves of all methods, one below the other, told apart by the first column."""
+    table: pd.DataFrame = pd.concat([curves[method.folder] for method in methods])
+    table.insert(0, "method", [method.label for method in methods for _ in range(len(curves[method.folder]))])
+    return table
+
+
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows as dicts."""
+    return [{str(column): value for column, value in row.items()} for row in table.to_dict("records")]
+
+
+def csv(table: pd.DataFrame) -> bytes:
+    """The bytes of a CSV file, with six significant digits."""
+    return table.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
+
+
+def percent(rate: float, unit: str = " %") -> str:
+    """A rate for readers: ``97.5 %``, ``-`` if it is not known."""
+    return "-" if math.isnan(rate) else f"{round(100.0 * rate, 1):g}{unit}"
+
+
+def success_text(row: Mapping[str, Any]) -> str:
+    """``success`` in one cell: ``97 % (91.5 to 99 %)``."""
+    rate, low, high = row["success_rate"], row["ci_low"], row["ci_high"]
+    return f"{percent(rate)} ({percent(low, '')} to {percent(high)})" if row["seeds"] else "-"
+
+
+def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
+    """A Markdown table whose first ``left`` columns are words and whose others are numbers."""
+    rule = ["---"] * left + ["---:"] * (len(headings) - left)
+    return "".join("| " + " | ".join(row) + " |\n" for row in (headings, rule, *rows))
+
+
+def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
+    """The table in columns of equal width, with the brackets of the headings on a second line."""
+    names, _, brackets = zip(*(heading.partition(" (") for heading in headings), strict=True)
+    lines = [names, [bracket.rstrip(")") for bracket in brackets], *rows]
+    sides = "<" * left + ">" * (len(names) - left)
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = ["  ".join(f"{cell:{side}{width}}" for cell, side, width in zip(row, sides, widths, strict=True)) for row in lines]
+    text.insert(2, "  ".join("-" * width for width in widths))
+    return "\n".join(line.rstrip() for line in text)

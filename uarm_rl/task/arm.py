@@ -1,0 +1,64 @@
+"""What the environment asks of an arm and of a target. The simulated arm, the real arm and the tests' fake answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from uarm_rl.task.kinematics import Vector
+
+JointPositions = tuple[float, float, float]
+
+
+class ArmError(Exception):
+    """The arm or its world cannot do what was asked; the message is a sentence with the remedy."""
+
+
+class PhysicsError(ArmError):
+    """The simulated world no longer behaves like one: speeds or positions that no arm can have."""
+
+
+class Arm(Protocol):
+    """Joint positions are joint1..joint3 in radians (chain angles of ``kinematics``). A context manager that closes."""
+
+    def home(self) -> None:
+        """Bring the arm to its home pose, at rest."""
+        ...
+
+    def read_joints(self) -> JointPositions:
+        """Where the joints are."""
+        ...
+
+    def command_joints(self, reference_rad: Sequence[float]) -> None:
+        """Give the servo a new reference, inside the joint limits."""
+        ...
+
+    def advance(self) -> int:
+        """Let time pass, a control step if the arm can; returns how many passed, at least 1.
+
+        A simulated arm advances by one. A real one cannot be looked at in motion and returns when it stands still.
+        Raises :class:`PhysicsError` when a simulated world explodes.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the arm; closing twice is fine."""
+        ...
+
+    def __enter__(self) -> Arm: ...
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+
+
+class Target(Protocol):
+    """The object that the cup has to reach."""
+
+    def place_object(self, top_m: Sequence[float] | Vector) -> None:
+        """Put the object so that the centre of its upper surface is at ``top_m``, at rest."""
+        ...
+
+    def object_position(self) -> tuple[float, float, float] | None:
+        """Centre of the object's upper surface (m), or ``None`` if it is lost (fallen over, off the table)."""
+        ...

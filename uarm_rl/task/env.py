@@ -1,0 +1,222 @@
+"""The suction task as a Gymnasium environment over any arm. One step is one decision, however long it is held."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from uarm_rl import checks
+from uarm_rl.task import kinematics, positions
+from uarm_rl.task.arm import Arm, ArmError, JointPositions, PhysicsError, Target
+from uarm_rl.task.hold import Hold
+from uarm_rl.task.observation import SIZE, Observation, observe
+from uarm_rl.task.reward import DistanceReward
+
+ACTION_SIZE: Final = 3
+
+#: Columns of ``info["trace"]``: one row each time the arm is looked at.
+TRACE_COLUMNS: Final = (
+    *(f"joint{number}_rad" for number in (1, 2, 3)),
+    *(f"cup_{axis}_m" for axis in "xyz"),
+    *(f"object_{axis}_m" for axis in "xyz"),
+)
+
+_LONGEST_S: Final = 3600.0
+
+#: A new object is not put down where the cup still is.
+_CLEARANCE_M: Final = 0.06
+
+
+class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """Bring the suction cup to the centre of the object's upper surface and keep it there.
+
+    *Observation*: 20 numbers, see ``observation``. *Action*: 3 numbers in [-1, 1], times ``max_delta_rad`` the
+    difference between reference and current position of joint1..joint3; references are cut at the joint limits.
+    *Step*: the reference acts until ``hold`` releases it. *Reward*: ``reward``, equation (4) of the paper.
+
+    ``terminated``: success, the cup stayed within ``tolerance_m`` of the target for ``dwell_s`` without a break (the
+    flag). ``truncated``: ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach,
+    or the simulation exploded (``info["exploded"]``; only a reset with ``home`` mends it).
+
+    ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one) and ``home`` (default
+    true; false leaves the arm where it is and only places a new object).
+
+    ``info`` of a step: ``is_success``, ``distance_m``, ``control_steps`` of the decision, ``clipped`` (the reference
+    was cut at a limit), ``travel_rad`` (largest joint difference between the two states), the reward's terms, and
+    ``trace``, an array of shape (looks, 9) with the columns ``TRACE_COLUMNS``: one look a control step, fewer on an arm
+    that takes several steps to come to rest.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array", "rgb_array_list"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's own form)
+
+    def __init__(
+        self,
+        arm: Arm,
+        target: Target,
+        reward: DistanceReward,
+        hold: Hold,
+        *,
+        control_hz: int,
+        max_delta_rad: float,
+        tolerance_m: float,
+        dwell_s: float,
+        time_limit_s: float | None,
+        object_height_m: float,
+        render_mode: str | None = None,
+        take_picture: Callable[[], NDArray[np.uint8]] | None = None,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            allowed = ", ".join(self.metadata["render_modes"])
+            raise ValueError(f"render_mode must be one of {allowed}, or None, got {render_mode!r}")
+        self.arm = arm
+        self.target = target
+        self.render_mode = render_mode
+        self._reward = reward
+        self._hold = hold
+        self._max_delta_rad = checks.number("max_delta_rad", max_delta_rad, low=0.0, high=math.pi, open_low=True)
+        self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
+        self._dwell_steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
+        self._step_limit = math.inf
+        if time_limit_s is not None:
+            self._step_limit = checks.number("time_limit_s", time_limit_s, low=1.0 / control_hz, high=_LONGEST_S) * control_hz
+        self._object_height_m = object_height_m
+        self._take_picture = take_picture
+        self._pictures: list[NDArray[np.uint8]] = []
+        self.observation_space = gymnasium.spaces.Box(-2.0 * math.pi, 2.0 * math.pi, (SIZE,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        super().reset(seed=seed)
+        options = options or {}
+        if unknown := set(options) - {"object_position", "home"}:
+            raise ValueError(f"reset has no option {sorted(unknown)[0]!r}; it takes object_position and home")
+        if options.get("home", True):
+            self.arm.home()
+        self._joints = self.arm.read_joints()
+        self._link_ends = kinematics.forward(self._joints)
+        self._object = self._place(options.get("object_position"))
+        self._dwelt_steps = 0
+        self._elapsed_steps = 0
+        self._flag = False
+        if self.render_mode == "rgb_array_list":
+            self._pictures = [self._picture()]
+        return self._observe(), {"distance_m": self._distance_m(), "object_position": self._object}
+
+    def _place(self, wanted: Any) -> tuple[float, float, float]:
+        if wanted is None:
+            cup = self._link_ends[3]
+            while True:
+                position = positions.draw(self.np_random, self._object_height_m)
+                if math.hypot(position[0] - cup[0], position[1] - cup[1]) >= _CLEARANCE_M:
+                    break
+        else:
+            position = np.asarray(wanted, np.float64)
+            if position.shape != (3,) or not kinematics.reachable(position):
+                raise ValueError(f"object_position must be three numbers (m) that the cup can reach, got {wanted!r}")
+        self.target.place_object(position)
+        x, y, z = position.tolist()
+        return x, y, z
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        start_joints, start_cup, start_object = self._joints, self._link_ends[3].tolist(), self._object
+        clipped = self._command(action)
+        trace, control_steps = [], 0
+        lost = timed_out = released = exploded = False
+        while not (self._flag or lost or timed_out or released):
+            last = self._joints
+            try:
+                passed = self.arm.advance()
+            except PhysicsError:
+                exploded = True
+                break
+            lost = not self._sense(passed)
+            control_steps += passed
+            trace.append(self.state())
+            timed_out = self._elapsed_steps >= self._step_limit
+            released = self._hold.releases(control_steps, _travel(last, self._joints))
+            if self.render_mode == "rgb_array_list":
+                self._pictures.append(self._picture())
+        terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object)
+        info = {
+            "is_success": self._flag,
+            "distance_m": self._distance_m(),
+            "control_steps": control_steps,
+            "clipped": clipped,
+            "travel_rad": _travel(start_joints, self._joints),
+            "reward_distance": terms.distance,
+            "reward_progress": terms.progress,
+            "reward_displacement": terms.displacement,
+            "object_moved_m": math.dist(start_object, self._object),
+            "object_lost": lost,
+            "exploded": exploded,
+            "trace": np.array(trace).reshape(-1, len(TRACE_COLUMNS)),
+        }
+        return self._observe(), terms.total, self._flag, not self._flag and (lost or timed_out or exploded), info
+
+    def _command(self, action: NDArray[np.float32]) -> bool:
+        """Command the joints; true if the reference had to be cut at a limit."""
+        delta = np.asarray(action, np.float64)
+        if delta.shape != (ACTION_SIZE,) or not np.all(np.abs(delta) <= 1.0):  # NaN compares false
+            raise ValueError(f"an action is {ACTION_SIZE} finite numbers in [-1, 1], got {action!r}")
+        d1, d2, d3 = (self._max_delta_rad * delta).tolist()
+        j1, j2, j3 = self._joints
+        wanted = j1 + d1, j2 + d2, j3 + d3
+        reference = kinematics.clip_to_limits(*wanted)
+        self.arm.command_joints(reference)
+        return reference != wanted
+
+    def _sense(self, passed: int) -> bool:
+        """Read arm and object after ``passed`` control steps; false if the object is out of reach."""
+        self._joints = self.arm.read_joints()
+        if not all(math.isfinite(joint) for joint in self._joints):
+            raise ArmError(f"the arm reports joints that are no numbers: {self._joints}")
+        self._link_ends = kinematics.forward(self._joints)
+        position = self.target.object_position()
+        if position is not None:
+            self._object = position
+        self._elapsed_steps += passed
+        # Of the way in, only its end is known to be near enough.
+        stayed = passed if self._dwelt_steps else 1
+        self._dwelt_steps = self._dwelt_steps + stayed if self._distance_m() <= self._tolerance_m else 0
+        self._flag = self._dwelt_steps >= self._dwell_steps > 0
+        return position is not None and kinematics.reachable(position)
+
+    def state(self) -> NDArray[np.float64]:
+        """Joints, cup and object as they are now: a row of the trace, shape (9,)."""
+        return np.array((*self._joints, *self._link_ends[3].tolist(), *self._object))
+
+    def _distance_m(self) -> float:
+        return math.dist(self._link_ends[3].tolist(), self._object)
+
+    def _observe(self) -> Observation:
+        return observe(self._joints, self._link_ends, self._object, self._flag)
+
+    def _picture(self) -> NDArray[np.uint8]:
+        if self._take_picture is None:
+            raise ValueError("this arm has no camera to render with")
+        return self._take_picture()
+
+    def render(self) -> Any:
+        """A picture (``rgb_array``), or the pictures of every control step since the last call (``rgb_array_list``)."""
+        if self.render_mode == "rgb_array":
+            return self._picture()
+        if self.render_mode == "rgb_array_list":
+            pictures, self._pictures = self._pictures, []
+            return pictures
+        return None  # "human": PyBullet's own window shows the world
+
+    def close(self) -> None:
+        self.arm.close()
+
+
+def _travel(start: JointPositions, end: JointPositions) -> float:
+    return max(abs(end[0] - start[0]), abs(end[1] - start[1]), abs(end[2] - start[2]))
+
+
+# Importing this module is what makes ``gymnasium.make("uarm_rl/UArmSuction-v0")`` work.
+gymnasium.register(id="uarm_rl/UArmSuction-v0", entry_point="uarm_rl.configuration:make_env")

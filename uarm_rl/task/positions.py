@@ -1,0 +1,117 @@
+"""Where the object may lie: the operating range, random draws from it, and the committed position files.
+
+A position is the centre of the object's upper surface (m) for an object that rests on the table.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from uarm_rl import files
+from uarm_rl.task import kinematics
+from uarm_rl.task.kinematics import Vector
+
+COLUMNS: Final = ("x_m", "y_m", "z_m")
+
+#: Nearer than this an object would lie under the elbow, against the base (its corner is 93 mm from the axis), or
+#: below the smallest cup radius that firmware 3.2 allows near the table (118.5 mm, ``get_radius_from_height``).
+MIN_RADIUS_M: Final = 0.13
+#: The cup must be able to come from above, and every joint must keep clear of its limits on the way.
+APPROACH_HEIGHT_M: Final = 0.06
+MARGIN_RAD: Final = math.radians(2.0)
+
+#: The committed files: name -> (rows, seed of the draw). The test positions serve the final evaluation alone.
+FILES: Final = {
+    "test_positions.csv": (100, 20190701),
+    "validation_positions.csv": (50, 20190702),
+    "heldout_positions.csv": (1000, 20190703),
+}
+OBJECT_HEIGHT_M: Final = 0.03  # of the object that the committed files are for
+
+
+def in_operating_range(position_m: Vector) -> bool:
+    """Whether the cup can come down onto ``position_m`` (shape (3,)) from above with a margin to every joint limit."""
+    above = position_m + np.array([0.0, 0.0, APPROACH_HEIGHT_M])
+    return (
+        math.hypot(position_m[0], position_m[1]) >= MIN_RADIUS_M
+        and kinematics.reachable(position_m, MARGIN_RAD)
+        and kinematics.reachable(above, MARGIN_RAD)
+    )
+
+
+def draw(generator: np.random.Generator, height_m: float) -> Vector:
+    """A position, shape (3,), uniform over the operating range on the plane ``z = height_m``."""
+    while True:
+        x, y = generator.uniform((0.0, -0.37), (0.37, 0.37))
+        position = np.array([x, y, height_m])
+        if in_operating_range(position):
+            return position
+
+
+def draw_file(name: str) -> Vector:
+    """The rows of a committed position file, drawn again from its seed and rounded to the file's micrometres."""
+    rows, seed = FILES[name]
+    generator = np.random.default_rng(seed)
+    return np.round([draw(generator, OBJECT_HEIGHT_M) for _ in range(rows)], 6)
+
+
+def load_packaged(name: str) -> Vector:
+    """One of the committed position files, shape (n, 3)."""
+    with resources.as_file(resources.files("uarm_rl.task") / name) as path:
+        return load(path)
+
+
+def load_named(name: str) -> Vector:
+    """The packaged ``test``, ``validation`` or ``heldout`` positions, or those of the file ``name``; shape (n, 3)."""
+    packaged = f"{name}_positions.csv"
+    return load_packaged(packaged) if packaged in FILES else load(Path(name))
+
+
+def load(path: Path) -> Vector:
+    """Positions of a CSV file with the columns x_m, y_m, z_m; shape (n, 3).
+
+    Raises :class:`ValueError` with a sentence that names file and row when a column is missing, a value is not a
+    finite number, or the cup cannot reach a position.
+    """
+    try:
+        reader = csv.DictReader(io.StringIO(files.read(path).decode(), newline=""))
+        missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+        rows = list(reader)
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} cannot be read ({error}); a positions file has the columns {','.join(COLUMNS)}") from error
+    if missing:
+        raise ValueError(f"{path} lacks the column {missing[0]}; a positions file has the columns {','.join(COLUMNS)}")
+    positions = [_position(path, line, row) for line, row in enumerate(rows, start=2)]
+    if not positions:
+        raise ValueError(f"{path} holds no positions; it needs at least one row below the header")
+    return np.array(positions)
+
+
+def _position(path: Path, line: int, row: dict[str, str | None]) -> list[float]:
+    try:
+        position = [float(row[column] or "") for column in COLUMNS]
+    except ValueError:
+        values = ", ".join(str(row[column]) for column in COLUMNS)
+        raise ValueError(f"{path}, line {line}: ({values}) are not three numbers in metres") from None
+    if not kinematics.reachable(position):
+        x, y, z = position
+        raise ValueError(
+            f"{path}, line {line}: the cup cannot reach ({x:g}, {y:g}, {z:g}) m within the joint limits; "
+            "positions are metres in the base frame, the upper surface of the object"
+        )
+    return position
+
+
+def save(path: Path, positions_m: Vector) -> None:
+    """Write positions, shape (n, 3), as CSV with micrometres."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([f"{value:.6f}" for value in row] for row in positions_m)
