@@ -77,10 +77,10 @@ def trials_of(path: Path, count: int, point: tuple[str, float, int]) -> list[dic
 
 def workers(place: Workplace, policy: ActorPolicy) -> tuple[SwiftArm, ActorPolicy, CameraSearch, Task]:
     """The arm, policy, search and task of ``run-real``, as configured by default, on ports in memory."""
-    settings, metadata = configuration.compose("run-real", ()), policy.metadata
+    settings, card = configuration.compose("run-real", ()), policy.card
     task = Task(
-        hold=configuration.build("hold", metadata["hold"]),
-        **{key: metadata[key] for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
+        hold=configuration.build("hold", card.hold),
+        **{key: getattr(card, key) for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
         **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
     )
     eye, hand = MemoryPort(place.camera), MemoryPort(place.firmware)
@@ -92,9 +92,7 @@ def workers(place: Workplace, policy: ActorPolicy) -> tuple[SwiftArm, ActorPolic
         whole_object=True,
     )
     link = Link(hand, "the emulator", clock=hand.clock)
-    arm = SwiftArm(
-        link, limits=lab.limits(settings["limits"]), feed=lab.feed(metadata, None), control_hz=metadata["control_hz"]
-    )
+    arm = SwiftArm(link, limits=lab.limits(settings["limits"]), feed=lab.feed(card, None), control_hz=card.control_hz)
     return arm, policy, search, task
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from uarm_rl import configuration
 from uarm_rl.task.env import UArmSuctionEnv
+from uarm_rl.task.policy import PolicyCard
 
 #: A training of seconds: small networks, short episodes, short validation.
 FAST = (
@@ -25,6 +26,20 @@ FAST = (
     "validate_every=2",
     "checkpoint_every=2",
     "time_limit_s=0.5",
+)
+
+#: What a policy for the arm says of itself.
+CARD = PolicyCard(
+    max_delta_rad=0.15,
+    control_hz=20,
+    hold={"name": "until_steady", "steady_threshold_rad": 0.001, "min_control_steps": 2, "max_control_steps": 40},
+    servo={"name": "stepper", "feed": 15.0},
+    tolerance_m=0.005,
+    dwell_s=0.5,
+    buffer="adaptive",
+    reward="penalty",
+    episodes=1,
+    seed=0,
 )
 
 MakeEnv = Callable[..., UArmSuctionEnv]

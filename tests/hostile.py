@@ -604,15 +604,23 @@ def own_policy(change: Callable[[Any, Any], object]) -> Prepare:
     """A policy with a valid hash whose content is wrong: ``change`` gets the policy and numpy."""
 
     def prepare(box: Box) -> None:
+        from dataclasses import asdict
+        from types import SimpleNamespace
+
         import numpy as np
 
-        from uarm_rl.task.policy import ActorPolicy
+        from uarm_rl.task.policy import ActorPolicy, encode
 
         path = box.run / "policy.safetensors"
         good = ActorPolicy.load(path)
-        good.layers = tuple((weight.copy(), bias.copy()) for weight, bias in good.layers)
-        change(good, np)
-        path.write_bytes(good._encode())
+        layers = tuple((weight.astype("float32"), bias.astype("float32")) for weight, bias in good.layers)
+        offset, scale = good.offset.astype("float32"), good.scale.astype("float32")
+        wrong = SimpleNamespace(layers=layers, offset=offset, scale=scale, card=asdict(good.card))
+        change(wrong, np)
+        tensors = {"offset": wrong.offset, "scale": wrong.scale}
+        for number, (weight, bias) in enumerate(wrong.layers):
+            tensors |= {f"weight{number}": weight, f"bias{number}": bias}
+        path.write_bytes(encode({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, wrong.card))
 
     return prepare
 
@@ -657,9 +665,9 @@ _WRONG_POLICIES: dict[str, Callable[[Any, Any], None]] = {
     "four outputs": _layers(-1, lambda weight, bias: (weight[:, [0, 1, 2, 0]], bias[[0, 1, 2, 0]])),
     "no outputs": _layers(-1, lambda weight, bias: (weight[:, :0], bias[:0])),
     "no layers": _set("layers", lambda policy, np: ()),
-    "metadata a list of names": _set("metadata", lambda policy, np: ["max_delta_rad", "hold"]),
-    "metadata a word": _set("metadata", lambda policy, np: "max_delta_rad hold"),
-    "metadata without hold": _set("metadata", lambda policy, np: {"max_delta_rad": 0.1, "_target_": "os.system"}),
+    "a list of names as card": _set("card", lambda policy, np: ["max_delta_rad", "hold"]),
+    "a word as card": _set("card", lambda policy, np: "max_delta_rad hold"),
+    "a card without hold": _set("card", lambda policy, np: {"max_delta_rad": 0.1, "_target_": "os.system"}),
 }
 
 
@@ -675,11 +683,10 @@ def policy_cases() -> Iterator[Case]:
         yield Case("policy", name, (EVALUATE, RENDER)[number % 2], put(path, data))
     for number, (name, change) in enumerate(_WRONG_POLICIES.items()):
         yield Case("policy", name, (EVALUATE, RENDER)[number % 2], own_policy(change))
+    told = {"hold": {"_target_": f"{PAYLOAD}.run", "name": "../../evil"}}
     # What only the real arm uses; the simulation takes it from the run's configuration.
-    told = {"max_delta_rad": "CANARY", "hold": {"_target_": f"{PAYLOAD}.run", "name": "../../evil"}}
-    yield Case(
-        "policy", "metadata with a target", EVALUATE, own_policy(_set("metadata", lambda policy, np: told)), accepted=True
-    )
+    change = _set("card", lambda policy, np: policy.card | told)
+    yield Case("policy", "a card with a target", EVALUATE, own_policy(change), accepted=True)
     yield Case("policy", "a terabyte", EVALUATE, put_giant(path))
 
 

@@ -33,6 +33,7 @@ from unittest import mock
 import numpy as np
 
 from tests import hostile, hostile_arm
+from tests.conftest import CARD
 from uarm_rl import configuration, files
 from uarm_rl.commands import train as commands_train
 from uarm_rl.csvfile import write_rows
@@ -305,7 +306,7 @@ def damaged_policy(folder: Path) -> tuple[int, int]:
     path = folder / "policy.safetensors"
     layers = [(np.full((20, 3), 0.5, np.float32), np.zeros(3, np.float32))]
     ones = np.ones(20, np.float32)
-    ActorPolicy(layers, offset=ones, scale=ones, metadata={"max_delta_rad": 0.15, "hold": {"name": "fixed"}}).save(path)
+    ActorPolicy(layers, offset=ones, scale=ones, card=CARD).save(path)
     return damaged(path, lambda: ActorPolicy.load(path))
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from uarm_rl.task.env import UArmSuctionEnv
-    from uarm_rl.task.policy import Policy
+    from uarm_rl.task.policy import Policy, PolicyCard
 
 Settings = dict[str, Any]
 
@@ -181,20 +181,18 @@ def value_range(settings: Settings) -> tuple[float, float]:
     return lowest * horizon, highest * horizon
 
 
-def policy_metadata(settings: Settings) -> Settings:
-    """What a user of the policy has to know to run it as it was trained."""
-    return {
-        "max_delta_rad": settings["max_delta_rad"],
-        "control_hz": settings["control_hz"],
-        "hold": settings["buffer"]["hold"],
-        "servo": settings["servo"],
-        "tolerance_m": settings["tolerance_m"],
-        "dwell_s": settings["dwell_s"],
-        "buffer": settings["buffer"]["name"],
-        "reward": settings["reward"]["name"],
-        "episodes": settings["episodes"],
-        "seed": settings["seed"],
-    }
+def policy_card(settings: Settings) -> PolicyCard:
+    """What a policy that is trained with these settings says of itself."""
+    from uarm_rl.task.policy import PolicyCard
+
+    return PolicyCard(
+        **{
+            key: settings[key] for key in ("max_delta_rad", "control_hz", "servo", "tolerance_m", "dwell_s", "episodes", "seed")
+        },
+        hold=settings["buffer"]["hold"],
+        buffer=settings["buffer"]["name"],
+        reward=settings["reward"]["name"],
+    )
 
 
 _MAX_CONFIG_BYTES: Final = 1 << 20

@@ -10,13 +10,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from tests import hostile_arm
 from tests.bench import HOME, Bench, judge
-from tests.conftest import uarm_rl
+from tests.conftest import CARD, uarm_rl
 from uarm_rl import cli, configuration
 from uarm_rl.commands.words import as_overrides
 from uarm_rl.emulator.emulate import Workplace
@@ -37,7 +38,7 @@ from uarm_rl.real.vision.detection import MarkerDetector
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import ArmError
 from uarm_rl.task.hold import UntilSteady
-from uarm_rl.task.policy import ActorPolicy, InverseKinematicsPolicy
+from uarm_rl.task.policy import InverseKinematicsPolicy, encode
 
 PLACE = np.array([0.2, 0.05, 0.03])
 TASK = Task(
@@ -443,15 +444,13 @@ def test_a_dry_run_needs_nothing_and_sends_nothing(run, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def policy_file(path, **metadata):
+def policy_file(path, **changed):
+    """A policy for the arm whose card is changed; a value of ``None`` leaves the key out."""
     path.parent.mkdir(parents=True, exist_ok=True)
     ones = np.ones(20, np.float32)
-    layers = [(np.full((20, 3), 0.01, np.float32), np.zeros(3, np.float32))]
-    good = {"max_delta_rad": 0.15, "hold": {"name": "until_steady", "steady_threshold_rad": 0.001, "min_control_steps": 2}}
-    good["hold"]["max_control_steps"] = 40
-    good |= {"control_hz": 20, "tolerance_m": 0.005, "dwell_s": 0.5, "servo": {"name": "stepper", "feed": 15.0}}
-    metadata = {key: value for key, value in (good | metadata).items() if value is not None}
-    ActorPolicy(layers, offset=ones, scale=ones, metadata=metadata).save(path)
+    tensors = {"offset": ones, "scale": ones, "weight0": np.full((20, 3), 0.01, np.float32), "bias0": np.zeros(3, np.float32)}
+    card = {key: value for key, value in (asdict(CARD) | changed).items() if value is not None}
+    path.write_bytes(encode(tensors, card))
 
 
 TARGET = ("--target", 0.2, 0.05, 0.03)

@@ -19,10 +19,10 @@ import yaml
 from uarm_rl import checks
 from uarm_rl.checks import UsageError
 from uarm_rl.commands.arm_settings import open_camera
-from uarm_rl.configuration import Settings, build, compose, policy_metadata
+from uarm_rl.configuration import Settings, build, compose, policy_card
 from uarm_rl.real import session
 from uarm_rl.real.trials import GivenTarget, RandomTargets, Search, Task
-from uarm_rl.task.policy import InverseKinematicsPolicy, Policy
+from uarm_rl.task.policy import InverseKinematicsPolicy, Policy, PolicyCard
 
 
 def run(settings: Settings) -> None:
@@ -31,18 +31,18 @@ def run(settings: Settings) -> None:
     dry_run = checks.boolean("dry_run", settings["dry_run"])
     size_m = session.object_size(settings["object_size_m"])
     limits = session.limits(settings["limits"])
-    policy, metadata, folder = _policy_for_the_arm(settings)
-    for warning in session.check_policy(metadata, limits.max_step_rad):
+    policy, card, folder = _policy_for_the_arm(settings)
+    for warning in session.check_policy(card, limits.max_step_rad):
         print(f"warning: {warning}", file=sys.stderr)
     task = Task(
-        hold=build("hold", metadata["hold"]),
-        **{key: metadata[key] for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
+        hold=build("hold", card.hold),
+        **{key: getattr(card, key) for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
         **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
     )
     session.check_press(size_m[2], task.max_press_m, limits)
     target = None if settings["target"] is None else session.target(settings["target"], task.max_press_m, limits)
     generator = np.random.default_rng(checks.integer("seed", settings["seed"], low=0))
-    arm_settings = {"limits": limits, "feed": session.feed(metadata, settings["feed"]), "control_hz": metadata["control_hz"]}
+    arm_settings = {"limits": limits, "feed": session.feed(card, settings["feed"]), "control_hz": card.control_hz}
 
     def open_search(stack: ExitStack) -> Search:
         if target is not None:
@@ -67,14 +67,14 @@ def run(settings: Settings) -> None:
     )
 
 
-def _policy_for_the_arm(settings: Settings) -> tuple[Policy, Settings, Path]:
-    """The policy, its metadata, and the folder whose ``real/`` takes its results."""
+def _policy_for_the_arm(settings: Settings) -> tuple[Policy, PolicyCard, Path]:
+    """The policy, its card, and the folder whose ``real/`` takes its results."""
     if settings["policy"] == "ik":
-        metadata = policy_metadata(compose("train", ("experiment=real_arm",)))
-        return InverseKinematicsPolicy(metadata["max_delta_rad"]), metadata, Path(settings["results_dir"]) / "ik" / "seed0"
+        card = policy_card(compose("train", ("experiment=real_arm",)))
+        return InverseKinematicsPolicy(card.max_delta_rad), card, Path(settings["results_dir"]) / "ik" / "seed0"
     path = Path(str(settings["policy"]))
     policy = session.load_policy(path)
-    return policy, policy.metadata, path if path.is_dir() else path.parent
+    return policy, policy.card, path if path.is_dir() else path.parent
 
 
 def _camera_search(settings: Settings, stack: ExitStack, size_m: tuple[float, float, float]) -> Search:

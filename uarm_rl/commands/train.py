@@ -18,7 +18,7 @@ import yaml
 
 from uarm_rl import checks
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, policy_metadata, read_run, value_range
+from uarm_rl.configuration import Settings, build, build_env, policy_card, read_run, value_range
 from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import run as session
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
@@ -65,7 +65,7 @@ def run(settings: Settings) -> None:
     )
     noise = build("noise", settings["noise"], action_size=ACTION_SIZE, generator=np.random.default_rng(seeds[3]))
     admission = build("admission", settings["buffer"]["admission"])
-    policy = agent.policy(policy_metadata(settings))
+    policy = agent.policy(policy_card(settings))
     validation_positions = positions.load_packaged("validation_positions.csv")
 
     config = yaml.safe_dump(kept, sort_keys=False)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from torch import Tensor
 from uarm_rl import checks
 from uarm_rl.learn.replay import Batch
 from uarm_rl.task import observation
-from uarm_rl.task.policy import ActorPolicy, scale
+from uarm_rl.task.policy import ActorPolicy, PolicyCard, scale
 
 #: An output of the actor beyond this counts as saturated: the slope of its tanh is below 0.02.
 _SATURATED: Final = 0.99
@@ -158,10 +158,10 @@ class DDPG:
         }
         return optimizer
 
-    def policy(self, metadata: dict[str, Any]) -> ActorPolicy:
+    def policy(self, card: PolicyCard) -> ActorPolicy:
         """The actor as a policy that follows every later update (its weights are views of this agent's)."""
         layers = [(weight.numpy(), bias.numpy()) for weight, bias in self.actor.layers]
-        return ActorPolicy(layers, offset=observation.OFFSET, scale=observation.SCALE, metadata=metadata)
+        return ActorPolicy(layers, offset=observation.OFFSET, scale=observation.SCALE, card=card)
 
     def update(self, batch: Batch) -> dict[str, float]:
         """One gradient step of critic and actor, one soft step of the targets.

@@ -31,7 +31,7 @@ from uarm_rl.real.trials import COLUMNS, ObjectNotFoundError, Row, Search, Task,
 from uarm_rl.report.statistics import wilson_interval
 from uarm_rl.task import policy, positions
 from uarm_rl.task.kinematics import Vector
-from uarm_rl.task.policy import ActorPolicy, Policy, PolicyFileError
+from uarm_rl.task.policy import ActorPolicy, Policy, PolicyCard, PolicyFileError
 
 if TYPE_CHECKING:
     from uarm_rl.real.vision.camera import Camera
@@ -168,11 +168,9 @@ def check_press(height_m: float, max_press_m: float, within: Limits) -> None:
         )
 
 
-def feed(metadata: Mapping[str, Any], wanted: float | None) -> float:
+def feed(card: PolicyCard, wanted: float | None) -> float:
     """The firmware's F: as wanted, or as the policy was trained with."""
-    servo = metadata["servo"]
-    trained = servo.get("feed", _FEED) if isinstance(servo, dict) else _FEED
-    return checks.number("feed", trained if wanted is None else wanted, low=0.1, high=250.0)
+    return checks.number("feed", card.servo.get("feed", _FEED) if wanted is None else wanted, low=0.1, high=250.0)
 
 
 def _three(name: str, value: Any) -> tuple[float, float, float]:
@@ -186,7 +184,7 @@ def _three(name: str, value: Any) -> tuple[float, float, float]:
 
 
 def load_policy(path: Path) -> ActorPolicy:
-    """The policy of a run folder, or in a file, with what is needed to run it on the arm in its metadata.
+    """The policy of a run folder, or in a file.
 
     Raises :class:`UsageError` if there is none, and ``PolicyFileError`` for a file that cannot be used.
     """
@@ -196,30 +194,25 @@ def load_policy(path: Path) -> ActorPolicy:
             f"there is no policy {file}; name the folder of a trained run with --policy (uarm-rl train experiment=real_arm "
             "makes one for the arm), or try the arm with --policy ik, the inverse-kinematics controller"
         )
-    actor = ActorPolicy.load(file)
-    missing = sorted({"control_hz", "tolerance_m", "dwell_s", "servo"} - actor.metadata.keys())
-    if missing:
-        raise PolicyFileError(f"{file} lacks {missing[0]} in its metadata, so it cannot be run as trained; train it again")
-    return actor
+    return ActorPolicy.load(file)
 
 
-def check_policy(metadata: Mapping[str, Any], max_step_rad: float) -> list[str]:
+def check_policy(card: PolicyCard, max_step_rad: float) -> list[str]:
     """Warnings about a policy; raises ``PolicyFileError`` for one whose actions the arm may not carry out."""
-    delta = metadata["max_delta_rad"]
     try:
-        checks.number("max_delta_rad", delta, low=0.0, high=max_step_rad, open_low=True)
+        checks.number("max_delta_rad", card.max_delta_rad, low=0.0, high=max_step_rad, open_low=True)
     except ValueError as error:
         raise PolicyFileError(
             f"the policy's action scale does not fit the arm: {error} (limits.max_step_rad); take a policy of another scale"
         ) from None
     warnings = []
-    servo = metadata["servo"].get("name") if isinstance(metadata["servo"], dict) else metadata["servo"]
+    servo = card.servo["name"]
     if servo != "stepper":
         warnings.append(
             f"the policy was trained with servo={servo}; this arm moves as servo=stepper does, so expect less of it than of a "
             "policy trained with experiment=real_arm"
         )
-    if not (isinstance(metadata["hold"], dict) and metadata["hold"].get("name") == "until_steady"):
+    if card.hold["name"] != "until_steady":
         warnings.append("the policy was not trained to wait until the arm is steady; on this arm every decision does")
     return warnings
 
@@ -378,12 +371,12 @@ def examine(
         else:
             yield doctor.calibration(calibration, picture)
     try:
-        metadata = load_policy(policy_path).metadata
-        warnings = check_policy(metadata, max_step_rad)
+        card = load_policy(policy_path).card
+        warnings = check_policy(card, max_step_rad)
     except (PolicyFileError, UsageError) as error:
         yield Finding("problem", "policy", str(error))
     else:
-        yield Finding("ok", "policy", f"{policy_path}, {metadata.get('episodes', '?')} episodes of training")
+        yield Finding("ok", "policy", f"{policy_path}, {card.episodes} episodes of training")
         yield from (Finding("warning", "policy", warning) for warning in warnings)
 
 

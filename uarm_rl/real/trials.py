@@ -108,7 +108,7 @@ class RandomTargets:
 
 @dataclass(frozen=True)
 class Task:
-    """What the policy was trained for (its metadata), and how the object is picked up after it.
+    """What the policy was trained for (its card), and how the object is picked up after it.
 
     The cup is pressed ``press_m`` below the object's upper surface, and deeper, up to ``max_press_m``, if it does not seal.
     """

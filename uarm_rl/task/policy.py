@@ -7,19 +7,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl import files
+from uarm_rl import checks, files
 from uarm_rl.task import kinematics, observation
 
 Array = NDArray[np.float32]
-Layers = Sequence[tuple[Array, Array]]
+Numbers = NDArray[np.float32] | NDArray[np.float64]
+Layers = Sequence[tuple[Numbers, Numbers]]
 
 FILE: Final = "policy.safetensors"  # its name in a run folder
 
@@ -45,20 +47,65 @@ def scale(raw: Array) -> Array:
     return scaled
 
 
+@dataclass(frozen=True)
+class PolicyCard:
+    """What a policy file says of itself: how the policy is to be run, and how it was trained.
+
+    ``hold`` and ``servo`` are configuration groups, chosen by their ``name``; lengths in metres, angles in radians.
+    """
+
+    max_delta_rad: float
+    control_hz: int
+    hold: dict[str, Any]
+    servo: dict[str, Any]
+    tolerance_m: float
+    dwell_s: float
+    buffer: str
+    reward: str
+    episodes: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        checks.number("max_delta_rad", self.max_delta_rad, low=0.0, high=math.pi, open_low=True)
+        checks.integer("control_hz", self.control_hz, low=1)
+        checks.number("tolerance_m", self.tolerance_m, low=0.0, open_low=True)
+        checks.number("dwell_s", self.dwell_s, low=0.0)
+        for group in ("hold", "servo"):
+            checks.text(f"{group}.name", checks.mapping(group, getattr(self, group)).get("name"))
+        for name in ("buffer", "reward"):
+            checks.text(name, getattr(self, name))
+        for name in ("episodes", "seed"):
+            checks.integer(name, getattr(self, name), low=0)
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any]) -> PolicyCard:
+        """The card of a file; what an older file lacks has its default.
+
+        Raises :class:`ValueError` with a sentence for a key that is missing, cannot be used, or is not known: a later version
+        wrote it, for a policy that this one may not run as meant.
+        """
+        given = checks.mapping("the card", values).keys()
+        if missing := [field.name for field in fields(cls) if field.default is MISSING and field.name not in given]:
+            raise ValueError(f"its card lacks {missing[0]}")
+        if unknown := sorted(given - {field.name for field in fields(cls)}):
+            raise ValueError(f"its card has a key that this version does not know, {unknown[0]}")
+        return cls(**values)
+
+
 class ActorPolicy:
     """A fully connected actor: ReLU after each hidden layer, tanh at the output.
 
-    ``layers`` holds a (weight (inputs, outputs), bias (outputs,)) pair per layer, float32; they may be views of a
-    learner's parameters, which the policy then follows. ``metadata`` is what a user of the policy has to know:
-    ``max_delta_rad`` and the ``hold`` it was trained with.
+    ``layers`` holds a (weight (inputs, outputs), bias (outputs,)) pair per layer. They may be views of a learner's float32
+    parameters, which the policy then follows and computes with. A policy that was read from a file computes in float64 and
+    rounds the action to float32: in which order a processor sums a product then shows in no bit of it.
     """
 
-    def __init__(self, layers: Layers, *, offset: Array, scale: Array, metadata: dict[str, Any]) -> None:
+    def __init__(self, layers: Layers, *, offset: Numbers, scale: Numbers, card: PolicyCard) -> None:
         self.layers = tuple(layers)
         self.offset = offset
         self.scale = scale
-        self.metadata = metadata
-        self._hidden = [np.empty(bias.shape, np.float32) for _, bias in self.layers]
+        self.card = card
+        self._hidden = [np.empty_like(bias) for _, bias in self.layers]
 
     def act(self, observation: Array) -> Array:
         x = (observation - self.offset) / self.scale
@@ -67,24 +114,16 @@ class ActorPolicy:
             hidden += bias
             x = np.maximum(hidden, 0.0, out=hidden)
         weight, bias = self.layers[-1]
-        action: Array = np.tanh(np.dot(x, weight) + bias)
+        action: Array = np.tanh(np.dot(x, weight) + bias).astype(np.float32, copy=False)
         return action
 
     def save(self, path: Path) -> None:
-        """Write the policy as one safetensors file, replacing an old one atomically."""
-        files.replace(path, self._encode())
-
-    def _encode(self) -> bytes:
-        """The file's bytes: a function of the policy, so that any other bytes are refused when read."""
-        from safetensors.numpy import save
-
+        """Write the policy as one safetensors file of float32 numbers, replacing an old one atomically."""
         tensors = {"offset": self.offset, "scale": self.scale}
         for number, (weight, bias) in enumerate(self.layers):
             tensors[f"weight{number}"], tensors[f"bias{number}"] = weight, bias
-        tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-        text = json.dumps(self.metadata, sort_keys=True)
-        digest = hashlib.sha256(save(tensors) + text.encode()).hexdigest()
-        return save(tensors, metadata={_FORMAT: json.dumps({"policy": self.metadata, "sha256": digest}, sort_keys=True)})
+        exact = {name: np.ascontiguousarray(tensor, np.float32) for name, tensor in tensors.items()}
+        files.replace(path, encode(exact, asdict(self.card)))
 
     @classmethod
     def load(cls, path: Path) -> ActorPolicy:
@@ -95,36 +134,68 @@ class ActorPolicy:
         data = files.read(path, at_most=_MAX_BYTES)
         try:
             tensors = load(data)
-            header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
+            header = _header(data)["__metadata__"]
             if _FORMAT not in header:
                 raise PolicyFileError(f"{path} is no policy of uarm-rl: its format is {', '.join(header)}, not {_FORMAT}")
-            metadata = json.loads(header[_FORMAT])["policy"]
-            count = sum(name.startswith("weight") for name in tensors)
-            layers = [(tensors[f"weight{number}"], tensors[f"bias{number}"]) for number in range(count)]
-            policy = cls(layers, offset=tensors["offset"], scale=tensors["scale"], metadata=metadata)
-            whole = policy._encode() == data
+            sign = json.loads(header[_FORMAT])
+            if sign["sha256"] != _digest(data, sign["policy"]):
+                raise ValueError("the hash is another")
         except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
             if isinstance(error, PolicyFileError):
                 raise
-            whole = False
-        if not whole:
-            raise PolicyFileError(f"{path} is truncated, damaged or no policy of uarm-rl; train it again")
-        policy._check(path)
-        return policy
+            raise PolicyFileError(f"{path} is truncated, damaged or no policy of uarm-rl; train it again") from None
+        _check(path, tensors)
+        try:
+            card = PolicyCard.read(sign["policy"])
+        except ValueError as error:
+            raise PolicyFileError(f"{path} cannot be run as it was trained: {error}; train it again") from None
+        exact = {name: tensor.astype(np.float64) for name, tensor in tensors.items()}
+        layers = [(exact[f"weight{number}"], exact[f"bias{number}"]) for number in range(len(tensors) // 2 - 1)]
+        return cls(layers, offset=exact["offset"], scale=exact["scale"], card=card)
 
-    def _check(self, path: Path) -> None:
-        widths = [observation.SIZE, *(weight.shape[-1] if weight.ndim == 2 else -1 for weight, _ in self.layers)]
-        shapes = all(
-            weight.shape == (inputs, outputs) and bias.shape == (outputs,)
-            for (weight, bias), inputs, outputs in zip(self.layers, widths, widths[1:], strict=False)
-        )
-        arrays = [self.offset, self.scale, *(array for layer in self.layers for array in layer)]
-        if not (self.layers and shapes and widths[-1] == 3 and self.offset.shape == self.scale.shape == (observation.SIZE,)):
-            raise PolicyFileError(f"{path} is a policy for another arm: it needs 20 inputs and 3 outputs, has layers {widths}")
-        if not all(array.dtype == np.float32 and np.isfinite(array).all() for array in arrays) or (self.scale == 0).any():
-            raise PolicyFileError(f"{path} holds weights that are not finite float32 numbers; train it again")
-        if not isinstance(self.metadata, dict) or not {"max_delta_rad", "hold"} <= self.metadata.keys():
-            raise PolicyFileError(f"{path} lacks max_delta_rad or hold in its metadata; train it again")
+
+def encode(tensors: dict[str, Any], card: Any) -> bytes:
+    """The bytes of a policy file: the tensors by name, and the card beside their hash."""
+    from safetensors.numpy import save
+
+    sign = {"policy": card, "sha256": _digest(save(tensors), card)}
+    return save(tensors, metadata={_FORMAT: json.dumps(sign, sort_keys=True)})
+
+
+def _header(data: bytes) -> dict[str, Any]:
+    """The header of a safetensors file: eight bytes of length, then JSON."""
+    header: dict[str, Any] = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    return header
+
+
+def _digest(data: bytes, card: Any) -> str:
+    """SHA-256 of the tensors of a safetensors file, their names and shapes included, and of a card.
+
+    The header is written out anew, without the metadata: what a later release of safetensors puts around it does not count.
+    """
+    tensors = {name: tensor for name, tensor in _header(data).items() if name != "__metadata__"}
+    header = json.dumps(tensors, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)
+    content = data[8 + int.from_bytes(data[:8], "little") :]
+    text = json.dumps(card, sort_keys=True).encode()
+    return hashlib.sha256(len(header).to_bytes(8, "little") + header + content + text).hexdigest()
+
+
+def _check(path: Path, tensors: Mapping[str, Array]) -> None:
+    """Raises :class:`PolicyFileError` unless the tensors are those of an actor for this arm."""
+    count = len(tensors) // 2 - 1
+    names = {"offset", "scale", *(f"{kind}{number}" for kind in ("weight", "bias") for number in range(count))}
+    widths = [observation.SIZE]
+    fits = names == tensors.keys() and count > 0
+    for number in range(count) if fits else ():
+        weight, bias = tensors[f"weight{number}"], tensors[f"bias{number}"]
+        widths.append(weight.shape[-1] if weight.ndim == 2 else -1)
+        fits = fits and weight.shape == tuple(widths[-2:]) and bias.shape == (widths[-1],)
+    if not fits or widths[-1] != 3 or {tensors[name].shape for name in ("offset", "scale")} != {(observation.SIZE,)}:
+        raise PolicyFileError(f"{path} is a policy for another arm: it needs 20 inputs and 3 outputs, has layers {widths}")
+    sound = all(tensor.dtype == np.float32 and np.isfinite(tensor).all() for tensor in tensors.values())
+    if not sound or (tensors["scale"] == 0).any():
+        raise PolicyFileError(f"{path} holds weights that are not finite float32 numbers; train it again")
 
 
 @dataclass(frozen=True)
