@@ -36,7 +36,8 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
 import uarm_rl.task.env
 from uarm_rl import configuration
-from uarm_rl.evaluation.evaluate import evaluate, measure
+from uarm_rl.evaluation.evaluate import evaluate
+from uarm_rl.evaluation.measures import measure
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.run import Snapshot
@@ -310,7 +311,7 @@ def bench_evaluation(rounds: int) -> Iterator[Row]:
 
     def run(workers: int) -> None:
         make = partial(configuration.build_env, settings, time_limit_s=settings["time_limit_s"])
-        episodes = evaluate(make, Restless(), where, workers=workers)
+        episodes = evaluate(make, Restless(), where, processes=workers)
         rows = [measure(number, episode, reward, control_hz=20) for number, episode in enumerate(episodes)]
         assert len(rows) == 100
 

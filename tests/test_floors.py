@@ -24,7 +24,7 @@ WINGS = {
     "commands": {"task", "sim", "real", "learn", "evaluation", "report", "emulator", "configuration"},
     "cli": {"commands", "configuration"},
 }
-ROOT_FILES = {"checks", "files", "csvfile"}
+ROOT_FILES = {"checks", "files", "csvfile", "workers"}
 
 #: Third-party packages, and the parts of the package that may import them.
 OWNERS = {

@@ -38,8 +38,10 @@ from uarm_rl import configuration, files
 from uarm_rl.commands import train as commands_train
 from uarm_rl.csvfile import write_rows
 from uarm_rl.learn import checkpoint
-from uarm_rl.learn import run as session
-from uarm_rl.task.policy import FILE, ActorPolicy, PolicyFileError
+from uarm_rl.learn.checkpoint import Checkpoint
+from uarm_rl.learn.learner import Learner
+from uarm_rl.learn.noise import OrnsteinUhlenbeck
+from uarm_rl.task.policy import ActorPolicy, PolicyFileError
 
 #: Two seconds of training: a checkpoint after every second episode, a ring that wraps around.
 TOY = (
@@ -95,9 +97,9 @@ def fork(work: Callable[[], object]) -> int:
 
 def outcome(run: Path) -> str:
     """One hash of what must be identical: policy, configuration, and progress without the wall time."""
-    with open(run / session.PROGRESS, newline="") as file:
+    with open(run / files.PROGRESS, newline="") as file:
         rows = [{key: value for key, value in row.items() if key != "wall_s"} for row in csv.DictReader(file)]
-    parts = [(run / FILE).read_bytes(), (run / session.CONFIG).read_bytes(), repr(rows).encode()]
+    parts = [(run / files.POLICY).read_bytes(), (run / files.CONFIG).read_bytes(), repr(rows).encode()]
     return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
@@ -214,20 +216,14 @@ def kill_and_finish(task: tuple[Path, str, int, float, Kill]) -> tuple[int, str,
 
 def forgetting_the_noise() -> mock._patch:
     """A resume that does not restore the noise's generator."""
-    restore = session._restore
-
-    def broken(saved, env, agent, replay, noise, counters):
-        before = noise.generator.bit_generator.state
-        restore(saved, env, agent, replay, noise, counters)
-        noise.generator.bit_generator.state = before
-
-    return mock.patch.object(session, "_restore", broken)
+    return mock.patch.object(OrnsteinUhlenbeck, "restore", return_value=None)
 
 
 def saving_in_place() -> mock._patch:
     """A save that writes where it reads: the checkpoint's final folder, emptied first, without a manifest to check."""
 
-    def broken(run_dir, episode, arrays, state):
+    def broken(run_dir, saved):
+        _, arrays, state = saved
         folder = run_dir / "checkpoint-000000"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
@@ -242,12 +238,14 @@ def saving_in_place() -> mock._patch:
 def saving_the_present() -> mock._patch:
     """A stop that saves the weights as they are in the middle of an episode, not as they were at its beginning."""
 
-    class Broken(session.Snapshot):
-        def __init__(self, env, agent, *rest, **keywords):
-            super().__init__(env, agent, *rest, **keywords)
-            self._agent = {f"agent/{name}": tensor.numpy() for name, tensor in agent.tensors().items()}
+    snapshot = Learner.snapshot
 
-    return mock.patch.object(session, "Snapshot", Broken)
+    def broken(learner, next_experiences):
+        before = snapshot(learner, next_experiences)
+        present = {f"agent/{name}": tensor.numpy() for name, tensor in learner.agent.tensors().items()}
+        return lambda: before()._replace(arrays=before().arrays | present)
+
+    return mock.patch.object(Learner, "snapshot", broken)
 
 
 def trusting() -> mock._patch:
@@ -263,7 +261,7 @@ def trusting() -> mock._patch:
 
 def small_checkpoint(folder: Path) -> Path:
     arrays = {"agent/parameters": np.arange(12, dtype=np.float32), "replay/rows": np.ones((2, 5), np.float32)}
-    checkpoint.write(folder, 1, arrays, {"counters": {"episode": 1}, "noise": [0.5, -0.25]})
+    checkpoint.write(folder, Checkpoint(1, arrays, {"counters": {"episode": 1}, "noise": [0.5, -0.25]}))
     return folder / "checkpoint-000001"
 
 
@@ -324,7 +322,7 @@ def failing_saves(folder: Path) -> tuple[int, int]:
 
             with counted_calls(at, fail) as count:
                 try:
-                    checkpoint.write(run, 2, {"agent/parameters": np.zeros(3, np.float32)}, {})
+                    checkpoint.write(run, Checkpoint(2, {"agent/parameters": np.zeros(3, np.float32)}, {}))
                     claimed = True
                 except OSError:
                     claimed = False
@@ -346,7 +344,7 @@ def full_disks(folder: Path) -> tuple[int, int]:
         small_checkpoint(run)
         resource.setrlimit(resource.RLIMIT_FSIZE, (trials - 1, hard))
         try:
-            checkpoint.write(run, 2, {"agent/parameters": np.zeros(3, np.float32)}, {})
+            checkpoint.write(run, Checkpoint(2, {"agent/parameters": np.zeros(3, np.float32)}, {}))
             claimed = True
         except OSError:
             claimed = False

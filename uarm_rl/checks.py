@@ -48,6 +48,14 @@ def mapping(name: str, value: object) -> dict[str, Any]:
     return dict(value)
 
 
+def generator_state(name: str, value: object) -> dict[str, Any]:
+    """The state of a numpy generator, as it lies in a file, if it is one; :class:`ValueError` with a sentence otherwise."""
+    state = mapping(name, value)
+    if state.get("has_uint32") not in (0, 1):  # numpy itself would take others
+        raise ValueError(f"{name} is no state of a generator")
+    return state
+
+
 def text(name: str, value: object) -> str:
     """``value`` if it is a text that is not empty; :class:`ValueError` with a sentence otherwise."""
     if not isinstance(value, str) or not value:

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from functools import partial
+from functools import cache, partial
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uarm_rl import checks
+from uarm_rl import checks, files
 from uarm_rl.checks import UsageError
+from uarm_rl.files import CONFIG, POLICY
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -157,6 +159,13 @@ def compose(command: str, overrides: tuple[str, ...] = ()) -> Settings:
         return plain(hydra.compose(command.replace("-", "_"), list(overrides)))
 
 
+def choices(group: str) -> list[str]:
+    """The names that a configuration group can be given; empty if there is no such group."""
+    folder = resources.files("uarm_rl.conf") / group
+    files_there = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path.name.removesuffix(".yaml") for path in files_there if path.name.endswith(".yaml"))
+
+
 def plain(cfg: DictConfig) -> Settings:
     """A configuration as a plain dict, interpolations resolved. Raises :class:`UsageError` for a missing value."""
     from omegaconf import OmegaConf
@@ -197,17 +206,35 @@ def policy_card(settings: Settings) -> PolicyCard:
 
 _MAX_CONFIG_BYTES: Final = 1 << 20
 
+#: Settings that older versions had and that never did anything.
+_RETIRED: Final = {"sim": ("cup_stiffness_n_m", "cup_damping_n_s_m")}
+
 
 def read_run(run_dir: Path) -> Settings:
-    """The configuration that a run was trained with. Raises :class:`UsageError` if the folder holds no run."""
+    """The configuration that a run was trained with; what an older version did not have yet has its default.
+
+    Raises :class:`UsageError` if the folder holds no run.
+    """
+    settings = _read_yaml(run_dir / CONFIG)
+    needed = ("sim", "servo", "reward", "buffer", "control_hz", "max_delta_rad", "tolerance_m", "dwell_s", "time_limit_s")
+    if missing := [key for key in needed if key not in settings]:
+        raise UsageError(f"{run_dir / CONFIG} lacks {missing[0]}; it was not written by uarm-rl train")
+    for group in ("sim", "servo", "reward", "buffer"):
+        checks.mapping(group, settings[group])
+    checks.number("time_limit_s", settings["time_limit_s"], low=0.0, open_low=True)
+    for group, retired in _RETIRED.items():
+        settings[group] = {key: value for key, value in settings[group].items() if key not in retired}
+    names = {group: value.get("name") for group, value in settings.items() if isinstance(value, Mapping)}
+    chosen = tuple(f"{group}={name}" for group, name in sorted(names.items()) if name in choices(group))
+    return _merged(_defaults(chosen), settings)
+
+
+def _read_yaml(path: Path) -> Settings:
+    """A mapping from a YAML file that may come from anywhere: no tags, no aliases, no depths."""
     import yaml
 
-    from uarm_rl import files
-    from uarm_rl.learn.run import CONFIG
-
-    if not run_dir.is_dir():
-        raise UsageError(f"there is no run folder {run_dir}; a run is results/NAME/seedN, made by uarm-rl train")
-    path = run_dir / CONFIG
+    if not path.parent.is_dir():
+        raise UsageError(f"there is no run folder {path.parent}; a run is results/NAME/seedN, made by uarm-rl train")
     try:
         text = files.read(path, at_most=_MAX_CONFIG_BYTES).decode()
         depth = 0
@@ -215,29 +242,40 @@ def read_run(run_dir: Path) -> Settings:
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if isinstance(event, yaml.AliasEvent) or depth > 20:
                 raise UsageError(f"{path} refers to its own parts or is nested too deeply; uarm-rl writes no such file")
-        settings = yaml.safe_load(text)
+        return checks.mapping("it", yaml.safe_load(text))
     except FileNotFoundError:
-        raise UsageError(f"{run_dir} holds no {CONFIG}; a run is results/NAME/seedN, made by uarm-rl train") from None
+        raise UsageError(f"{path.parent} holds no {path.name}; a run is results/NAME/seedN, made by uarm-rl train") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UsageError(f"{path} is damaged: {' '.join(str(error).split())}") from None
-    needed = ("sim", "servo", "reward", "buffer", "control_hz", "max_delta_rad", "tolerance_m", "dwell_s", "time_limit_s")
-    missing = [key for key in needed if not isinstance(settings, dict) or key not in settings]
-    if missing:
-        raise UsageError(f"{path} lacks {missing[0]}; it was not written by uarm-rl train")
-    for group in ("sim", "servo", "reward", "buffer"):
-        checks.mapping(group, settings[group])
-    checks.number("time_limit_s", settings["time_limit_s"], low=0.0, open_low=True)
-    return dict(settings)
+
+
+@cache
+def _defaults(chosen: tuple[str, ...]) -> Settings:
+    return compose("train", chosen)
+
+
+def _merged(defaults: Settings, settings: Settings) -> Settings:
+    """``settings`` over ``defaults``; a group of another name is taken as it is, since its keys are others."""
+    merged = defaults | settings
+    for key, value in settings.items():
+        default = defaults.get(key)
+        if (
+            isinstance(value, dict)
+            and isinstance(default, dict)
+            and value.get("name", default.get("name")) == default.get("name")
+        ):
+            merged[key] = _merged(default, value)
+    return merged
 
 
 def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
     """The policy of a run, or with the name ``ik`` the controller. Raises :class:`UsageError` if there is none."""
-    from uarm_rl.task.policy import FILE, ActorPolicy, InverseKinematicsPolicy
+    from uarm_rl.task.policy import ActorPolicy, InverseKinematicsPolicy
 
     if name == "ik":
         return InverseKinematicsPolicy(settings["max_delta_rad"])
     if name is not None:
         raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give policy=ik")
-    if not (run_dir / FILE).exists():
-        raise UsageError(f"{run_dir} holds no {FILE}: its training is not finished; continue it with resume=true")
-    return ActorPolicy.load(run_dir / FILE)
+    if not (run_dir / POLICY).exists():
+        raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
+    return ActorPolicy.load(run_dir / POLICY)

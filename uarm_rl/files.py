@@ -11,6 +11,12 @@ import os
 import shutil
 import stat
 from pathlib import Path
+from typing import Final
+
+#: The files of a run's folder.
+CONFIG: Final = "config.yaml"
+PROGRESS: Final = "progress.csv"
+POLICY: Final = "policy.safetensors"
 
 
 def replace(path: Path, data: bytes) -> None:

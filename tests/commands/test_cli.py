@@ -249,7 +249,7 @@ def test_spoiled_run_folders_are_named(copied):
     (run / "config.yaml").write_text("!!python/object/apply:os.system ['echo pwned']")
     assert_refused(uarm_rl(*words, cwd=copied), 2, "config.yaml is damaged")
     (run / "config.yaml").write_text("[]")
-    assert_refused(uarm_rl(*words, cwd=copied), 2, "config.yaml lacks sim")
+    assert_refused(uarm_rl(*words, cwd=copied), 2, "config.yaml is damaged: it must be a group of settings")
     assert (run / "evaluation.csv").read_bytes() == before
 
 

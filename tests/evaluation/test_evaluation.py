@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from uarm_rl import configuration
-from uarm_rl.evaluation.evaluate import COLUMNS, CONDITIONS, MEASURED, TRACES, evaluate, measure, shaking, trace_rows
+from uarm_rl.evaluation.evaluate import evaluate
+from uarm_rl.evaluation.measures import COLUMNS, CONDITIONS, MEASURED, TRACES, measure, shaking, trace_rows
 from uarm_rl.task import positions
 from uarm_rl.task.env import TRACE_COLUMNS
 from uarm_rl.task.policy import InverseKinematicsPolicy
@@ -21,7 +22,7 @@ COMMON = configuration.build("reward", configuration.compose("train", ("reward=p
 def episodes(workers: int, count: int = 6, policy: object = None, time_limit_s: float = 4.0) -> list[Episode]:
     make = partial(configuration.build_env, SETTINGS, time_limit_s=time_limit_s)
     policy = policy or InverseKinematicsPolicy(0.15)
-    return list(evaluate(make, policy, positions.load_named("validation")[:count], workers=workers))
+    return list(evaluate(make, policy, positions.load_named("validation")[:count], processes=workers))
 
 
 def rows(episodes: list[Episode]) -> list[dict[str, object]]:

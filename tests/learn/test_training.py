@@ -42,9 +42,9 @@ def interrupt_after(monkeypatch: pytest.MonkeyPatch, episode: int) -> None:
     """Send this process a Ctrl-C at the end of an episode, as a user would."""
     write = checkpoint.write
 
-    def write_and_interrupt(run_dir, at, arrays, state):
-        write(run_dir, at, arrays, state)
-        if at == episode:
+    def write_and_interrupt(run_dir, saved):
+        write(run_dir, saved)
+        if saved.episode == episode:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(checkpoint, "write", write_and_interrupt)
@@ -90,9 +90,9 @@ def interrupt_in(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, numb
 @pytest.mark.parametrize(
     ("owner", "name", "number", "saved_episode"),
     [
-        (UArmSuctionEnv, "step", 23, 0),  # 20 steps and 20 updates are the estimate of the time
-        (DDPG, "update", 30, 1),
-        (DDPG, "update", 94, 3),
+        (UArmSuctionEnv, "step", 3, 0),
+        (DDPG, "update", 10, 1),
+        (DDPG, "update", 74, 3),
         (evaluate, "run_episode", 2, 1),  # in the first validation, after episode 2
         (evaluate, "run_episode", 53, 3),  # in the last one
     ],
@@ -136,7 +136,7 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path, capsys):
 def test_a_finished_run_does_not_pass_for_another(tmp_path):
     run = train(tmp_path)
     before = outcome(run)
-    with pytest.raises(RunFolderError, match="is finished, with another agent"):
+    with pytest.raises(RunFolderError, match=r"was begun with agent\.tau=0\.005, not 0\.5"):
         train(tmp_path, "resume=true", "agent.tau=0.5")
     assert outcome(run) == before
 
@@ -155,7 +155,7 @@ def test_an_interrupted_run_is_not_resumed_with_another_configuration(tmp_path, 
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
         interrupt_after(patch, episode=2)
         train(tmp_path)
-    with pytest.raises(RunFolderError, match="another configuration"):
+    with pytest.raises(RunFolderError, match=r"was begun with agent\.gamma=0\.9, not 0\.8"):
         train(tmp_path, "resume=true", "agent.gamma=0.8")
 
 
@@ -200,13 +200,13 @@ def test_a_number_that_is_not_finite_leaves_a_good_checkpoint(tmp_path, monkeypa
     whole = outcome(train(tmp_path / "whole"))
     with monkeypatch.context() as patch, pytest.raises(DivergenceError, match=r"finite|nan"):
         if victim == "a weight":
-            spoil(patch, DDPG, "update", 80, lambda agent, _: agent.parameters[1000:1001].fill_(float("nan")))
+            spoil(patch, DDPG, "update", 60, lambda agent, _: agent.parameters[1000:1001].fill_(float("nan")))
         else:
-            spoil(patch, InlineEnv, "receive", 60, lambda _, result: (result[0], float("nan"), *result[2:]))
+            spoil(patch, InlineEnv, "step_wait", 60, lambda _, result: (result[0], float("nan"), *result[2:]))
         train(tmp_path / "parts")
     (run,) = (tmp_path / "parts").glob("*/seed0")
     assert not (run / "policy.safetensors").exists()
-    assert all(np.isfinite(array).all() for array in checkpoint.read_latest(run)[1].values())
+    assert all(np.isfinite(array).all() for array in checkpoint.read_latest(run).arrays.values())
     assert outcome(train(tmp_path / "parts", "resume=true")) == whole
 
 
@@ -236,8 +236,8 @@ def test_a_dead_simulator_is_named(tmp_path):
     env._process.kill()
     env._process.join()
     with pytest.raises(ArmError, match="has died"):
-        env.send(np.zeros(3, np.float32))
-        env.receive()
+        env.step_async(np.zeros(3, np.float32))
+        env.step_wait()
     env.close()
 
 

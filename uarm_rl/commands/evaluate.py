@@ -19,10 +19,11 @@ from uarm_rl import checks
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose, load_policy, read_run
 from uarm_rl.csvfile import write_rows
-from uarm_rl.evaluation.evaluate import COLUMNS, TRACES, Row, evaluate, measure, trace_rows
+from uarm_rl.evaluation.evaluate import evaluate
+from uarm_rl.evaluation.measures import COLUMNS, TRACES, Row, measure, trace_rows
+from uarm_rl.files import POLICY
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
-from uarm_rl.task.policy import FILE
 
 
 def run(settings: Settings) -> None:
@@ -58,7 +59,7 @@ def run(settings: Settings) -> None:
 
 
 def _trained_runs(results_dir: Path) -> list[Path]:
-    trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{FILE}"))
+    trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
     if not trained:
         raise UsageError(
             f"{results_dir} holds no trained run; make one with uarm-rl train, or name its folder: results_dir=DIR"
@@ -77,7 +78,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
     make().close()  # a bad value shows here, as a sentence, and not in a worker
     cores = len(os.sched_getaffinity(0))
-    workers = cores if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
+    processes = cores if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
     traced = checks.integer("traces", settings["traces"], low=0)
     common_reward = build("reward", settings["common_reward"])
     control_hz = run_settings["control_hz"]
@@ -90,7 +91,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     }
     rows: list[Row] = []
     traces: list[Row] = []
-    episodes = evaluate(make, policy, where, workers=min(workers, len(where)))
+    episodes = evaluate(make, policy, where, processes=min(processes, len(where)))
     bar = tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True)
     for number, episode in enumerate(bar):
         rows.append(measure(number, episode, common_reward, control_hz=control_hz) | conditions)

@@ -9,96 +9,91 @@ Examples:
 from __future__ import annotations
 
 import re
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
-import yaml
 
-from uarm_rl import checks
+from uarm_rl import checks, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, policy_card, read_run, value_range
 from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import run as session
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
+from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.replay import ReplayBuffer
-from uarm_rl.task import positions
+from uarm_rl.learn.train import Schedule
+from uarm_rl.task import observation, positions
 from uarm_rl.task.env import ACTION_SIZE
-from uarm_rl.task.observation import SIZE
+
+#: Settings that say how a run is carried out, not what comes of it; they are not kept with it.
+_TRANSIENT: Final = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
 
 
 def run(settings: Settings) -> None:
     """Train one policy in its run folder."""
-
+    workers.one_thread()
     torch.set_num_threads(1)  # two threads are slower at this size, and would change the last bits
     for name in ("resume", "overwrite", "simulate_beside", "tensorboard"):
         checks.boolean(name, settings[name])
     run_dir = _run_folder(settings)
-    transient = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
-    kept = {key: value for key, value in settings.items() if key not in transient}
+    kept = {key: value for key, value in settings.items() if key not in _TRANSIENT}
     kept["sim"] = checks.mapping("sim", settings["sim"]) | {"gui": False}
     if settings["resume"] and session.is_finished(run_dir):
-        before = read_run(run_dir)
-        changed = [key for key in kept if key in before and before[key] != kept[key]]
-        if changed:
-            raise session.RunFolderError(
-                f"{run_dir} is finished, with another {changed[0]}; name=NAME or seed=N makes another run, overwrite=true "
-                "deletes this one"
-            )
+        session.check_same(run_dir, kept, read_run(run_dir))
         print(f"{run_dir} is finished; nothing to do")
         return
-    schedule = session.Schedule(**{name: settings[name] for name in session.Schedule.__dataclass_fields__})
-    seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
-    env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
-    # Everything is built, and so every value checked, before the folder is touched.
-    watched = "human" if checks.boolean("sim.gui", settings["sim"]["gui"]) else None
-    make_training_env = partial(build_env, settings, time_limit_s=None, render_mode=watched)
-    validation_env = build_env(settings, time_limit_s=settings["time_limit_s"])
-    networks = torch.Generator().manual_seed(network_seed)
-    agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=networks)
-    replay = ReplayBuffer(
-        settings["buffer"]["capacity"],
-        observation_size=SIZE,
-        action_size=ACTION_SIZE,
-        generator=np.random.default_rng(seeds[2]),
-    )
-    noise = build("noise", settings["noise"], action_size=ACTION_SIZE, generator=np.random.default_rng(seeds[3]))
-    admission = build("admission", settings["buffer"]["admission"])
-    policy = agent.policy(policy_card(settings))
+    schedule = Schedule(**{name: settings[name] for name in Schedule.__dataclass_fields__})
     validation_positions = positions.load_packaged("validation_positions.csv")
-
-    config = yaml.safe_dump(kept, sort_keys=False)
-    with session.claim(run_dir, config, resume=settings["resume"], overwrite=settings["overwrite"]):
-        spare = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=torch.Generator())
-        seconds = session.estimate_s(schedule, spare, validation_env, beside=settings["simulate_beside"])
+    with ExitStack() as stack:
+        # Everything is built, and so every value checked, before the folder is touched.
+        validation_env = stack.enter_context(closing(build_env(settings, time_limit_s=settings["time_limit_s"])))
+        learner = _learner(settings)
+        stack.callback(learner.env.close)
+        learner.env.state()  # the environment beside begins when it is asked
+        stack.enter_context(session.claim(run_dir, kept, read_run, resume=settings["resume"], overwrite=settings["overwrite"]))
         experiences = schedule.episodes * schedule.experiences_per_episode
-        duration = f"about {round(seconds / 60)} min" if seconds > 60 else "less than a minute"
-        print(f"{run_dir}: {experiences:,} decisions and gradient steps in all, {duration}")
-        env = (SubprocessEnv if settings["simulate_beside"] else InlineEnv)(make_training_env, env_seed)
-        try:
-            finished = session.run(
-                run_dir,
-                env,
-                agent,
-                policy,
-                replay,
-                admission,
-                noise,
-                schedule,
-                value_range=value_range(settings),
-                validate=lambda policy: successes(validation_env, policy, validation_positions),
-                tensorboard=settings["tensorboard"],
-                say=print,
-            )
-        finally:
-            env.close()
-            validation_env.close()
+        print(f"{run_dir}: {experiences:,} decisions and gradient steps in all")
+        finished = session.run(
+            run_dir,
+            learner,
+            schedule,
+            validate=lambda policy: successes(validation_env, policy, validation_positions),
+            value_range=value_range(settings),
+            tensorboard=settings["tensorboard"],
+        )
     if finished:
         print(f"trained: {run_dir}; test it with: uarm-rl evaluate run={run_dir}")
     else:
         print(f"stopped: {run_dir}; the same command with resume=true continues it")
         raise SystemExit(130)
+
+
+def _learner(settings: Settings) -> Learner:
+    """All that learns, each part with a generator of its own."""
+    seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
+    env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
+    networks = torch.Generator().manual_seed(network_seed)
+    agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=networks)
+    watched = "human" if checks.boolean("sim.gui", settings["sim"]["gui"]) else None
+    make_env = partial(build_env, settings, time_limit_s=None, render_mode=watched)
+    env_class = SubprocessEnv if settings["simulate_beside"] else InlineEnv
+    return Learner(
+        replay=ReplayBuffer(
+            settings["buffer"]["capacity"],
+            observation_size=observation.SIZE,
+            action_size=ACTION_SIZE,
+            generator=np.random.default_rng(seeds[2]),
+        ),
+        noise=build("noise", settings["noise"], action_size=ACTION_SIZE, generator=np.random.default_rng(seeds[3])),
+        admission=build("admission", settings["buffer"]["admission"]),
+        agent=agent,
+        policy=agent.policy(policy_card(settings)),
+        env=env_class(make_env, env_seed),
+    )
 
 
 def _run_folder(settings: Settings) -> Path:

@@ -12,7 +12,7 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,21 @@ class CheckpointError(ValueError):
     """A checkpoint that cannot be used; the message is a sentence."""
 
 
-def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) -> None:
-    """Commit a checkpoint for ``episode`` and delete older ones. ``state`` must be JSON.
+class Checkpoint(NamedTuple):
+    """The state of a training after ``episode``: arrays by name, and what is JSON."""
+
+    episode: int
+    arrays: Arrays
+    state: dict[str, Any]
+
+
+def write(run_dir: Path, checkpoint: Checkpoint) -> None:
+    """Commit a checkpoint and delete older ones.
 
     Raises :class:`CheckpointError`, with nothing written, if an array holds a number that is not finite, and
     :class:`OSError` if the disk does not take it; the checkpoint before is then still there.
     """
+    episode, arrays, state = checkpoint
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise CheckpointError(f"{name} holds numbers that are not finite, so it was not saved; the last checkpoint is good")
@@ -62,8 +71,14 @@ def write(run_dir: Path, episode: int, arrays: Arrays, state: dict[str, Any]) ->
             files.remove(other)
 
 
-def read_latest(run_dir: Path) -> tuple[int, Arrays, dict[str, Any]] | None:
-    """The newest checkpoint: (episode, arrays, state), or ``None`` if the run has none.
+def remove(run_dir: Path) -> None:
+    """Delete all checkpoints of a run, those that were never finished too."""
+    for path in run_dir.glob(f"{_PREFIX}*"):
+        files.remove(path)
+
+
+def read_latest(run_dir: Path) -> Checkpoint | None:
+    """The newest checkpoint, or ``None`` if the run has none.
 
     A damaged one is passed over for the one before it, if that is still there; :class:`CheckpointError` if none is whole.
     """
@@ -74,7 +89,7 @@ def read_latest(run_dir: Path) -> tuple[int, Arrays, dict[str, Any]] | None:
         try:
             parts = _verified_parts(folder)
             arrays, state = load(parts["arrays.safetensors"]), json.loads(parts["state.json"])
-            return int(folder.name[len(_PREFIX) :]), arrays, state
+            return Checkpoint(int(folder.name[len(_PREFIX) :]), arrays, state)
         except (SafetensorError, ValueError, KeyError, OSError, RecursionError, MemoryError) as error:
             problem = problem or CheckpointError(f"{folder} is damaged ({error!r:.200}); train anew with overwrite=true")
     if problem:

@@ -1,13 +1,11 @@
 """Deep deterministic policy gradient (Lillicrap et al. 2016), as section 3.5 of the paper uses it.
 
-The networks are small, so the time of an update is its ten 128 x 400 x 300 matrix products plus overhead. Autograd is
-that overhead's largest part: here the two backward passes are written out, on flat parameter vectors, and
-compute only the gradients that are used. Tests hold them to ``torch.autograd``.
+The networks are small, so the time of an update is its ten 128 x 400 x 300 matrix products plus overhead; ``network``
+keeps that small.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import Final
@@ -17,6 +15,7 @@ import torch
 from torch import Tensor
 
 from uarm_rl import checks
+from uarm_rl.learn.network import Network
 from uarm_rl.learn.replay import Batch
 from uarm_rl.task import observation
 from uarm_rl.task.policy import ActorPolicy, PolicyCard, scale
@@ -27,81 +26,6 @@ _SATURATED: Final = 0.99
 
 class DivergenceError(ArithmeticError):
     """A number of the training is not finite; the message names it."""
-
-
-class Network:
-    """A fully connected network, ReLU after each hidden layer, linear at the output.
-
-    Parameters and their gradients live in two flat vectors given by the caller; layers are views of them.
-    """
-
-    def __init__(self, sizes: Sequence[int], parameters: Tensor, gradient: Tensor | None = None) -> None:
-        self.layers = self._views(sizes, parameters)
-        self._gradients = [] if gradient is None else self._views(sizes, gradient)
-        self._inputs: list[Tensor] = []
-        self._buffers: dict[tuple[str, int], Tensor] = {}
-
-    @staticmethod
-    def size(sizes: Sequence[int]) -> int:
-        """Number of parameters of a network with these layer widths."""
-        return sum((inputs + 1) * outputs for inputs, outputs in itertools.pairwise(sizes))
-
-    @staticmethod
-    def _views(sizes: Sequence[int], flat: Tensor) -> list[tuple[Tensor, Tensor]]:
-        views, start = [], 0
-        for inputs, outputs in itertools.pairwise(sizes):
-            weight = flat[start : start + inputs * outputs].view(inputs, outputs)
-            start += inputs * outputs
-            views.append((weight, flat[start : start + outputs]))
-            start += outputs
-        return views
-
-    def initialise(self, generator: torch.Generator, final: float) -> None:
-        """Uniform in +-1/sqrt(inputs), the last layer in +-``final`` (Lillicrap et al. 2016, section 7)."""
-        for weight, bias in self.layers:
-            bound = final if weight is self.layers[-1][0] else 1.0 / math.sqrt(weight.shape[0])
-            weight.uniform_(-bound, bound, generator=generator)
-            bias.uniform_(-bound, bound, generator=generator)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Output for a batch, shape (n, outputs), valid until the next call; the layers' inputs are kept for ``backward``."""
-        self._inputs = []
-        for number, (weight, bias) in enumerate(self.layers):
-            if number:
-                x.relu_()
-            self._inputs.append(x)
-            x = torch.addmm(bias, x, weight, out=self._buffer("forward", number, len(x), weight.shape[1]))
-        return x
-
-    def backward(self, gradient: Tensor) -> None:
-        """Write the gradients of the parameters, given the loss's ``gradient`` at the last output."""
-        for number in reversed(range(len(self.layers))):
-            into_weight, into_bias = self._gradients[number]
-            torch.mm(self._inputs[number].t(), gradient, out=into_weight)
-            torch.sum(gradient, 0, out=into_bias)
-            if number:
-                gradient = self._through(number, gradient)
-
-    def input_gradient(self, gradient: Tensor, first: int) -> Tensor:
-        """The loss's gradient at the inputs from column ``first`` on, given it at the last output."""
-        for number in reversed(range(1, len(self.layers))):
-            gradient = self._through(number, gradient)
-        return torch.mm(gradient, self.layers[0][0][first:].t())
-
-    def _through(self, number: int, gradient: Tensor) -> Tensor:
-        """From the output of layer ``number`` to the output of the layer before, across its ReLU."""
-        weight = self.layers[number][0]
-        buffer = self._buffer("backward", number, len(gradient), weight.shape[0])
-        torch.mm(gradient, weight.t(), out=buffer)
-        torch.ops.aten.threshold_backward.grad_input(buffer, self._inputs[number], 0, grad_input=buffer)
-        return buffer
-
-    def _buffer(self, direction: str, number: int, rows: int, columns: int) -> Tensor:
-        """Memory for one layer's result, the same in every update: fresh pages from the system cost as much as a product."""
-        buffer = self._buffers.get((direction, number))
-        if buffer is None or len(buffer) != rows:
-            buffer = self._buffers[direction, number] = torch.empty(rows, columns)
-        return buffer
 
 
 def _forms(tensors: dict[str, Tensor]) -> dict[str, tuple[torch.Size, torch.dtype]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,7 @@ from uarm_rl import checks
 
 
 class Noise(Protocol):
-    """Exploration noise; ``state`` and ``generator`` are saved in checkpoints."""
-
-    state: NDArray[np.float64]
-    generator: np.random.Generator
+    """Exploration noise."""
 
     def reset(self) -> None:
         """Begin a new episode."""
@@ -22,6 +19,14 @@ class Noise(Protocol):
 
     def __call__(self, progress: float) -> NDArray[np.float64]:
         """Noise for one action, shape (action_size,); ``progress`` runs from 0 to 1 over the training."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """What a resume needs; JSON."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take over the state of noise of the same kind and size; :class:`ValueError` if it does not fit."""
         ...
 
 
@@ -48,16 +53,26 @@ class OrnsteinUhlenbeck:
         self._initial = checks.number("noise.initial_amplitude", initial_amplitude, low=0.0)
         self._final = checks.number("noise.final_amplitude", final_amplitude, low=0.0)
         self._decay = checks.number("noise.decay_fraction", decay_fraction, low=0.0, high=1.0, open_low=True)
-        self.generator = generator
-        self.state: NDArray[np.float64] = np.zeros(action_size)
+        self._generator = generator
+        self._value: NDArray[np.float64] = np.zeros(action_size)
 
     def reset(self) -> None:
         # Start from the stationary distribution: the first actions of an episode explore as the later ones do.
-        self.state = self.generator.standard_normal(len(self.state))
+        self._value = self._generator.standard_normal(len(self._value))
 
     def __call__(self, progress: float) -> NDArray[np.float64]:
-        self.state = self._keep * self.state + self._innovation * self.generator.standard_normal(len(self.state))
-        return self.amplitude(progress) * self.state
+        self._value = self._keep * self._value + self._innovation * self._generator.standard_normal(len(self._value))
+        return self.amplitude(progress) * self._value
+
+    def state(self) -> dict[str, Any]:
+        return {"state": self._value.tolist(), "generator": self._generator.bit_generator.state}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        value = np.array(state["state"], np.float64)
+        if value.shape != self._value.shape or not np.isfinite(value).all():
+            raise ValueError("the state of its noise is none")
+        self._generator.bit_generator.state = checks.generator_state("noise.generator", state["generator"])
+        self._value = value
 
     def amplitude(self, progress: float) -> float:
         """Standard deviation of the noise at ``progress``."""

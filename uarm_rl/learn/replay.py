@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,35 @@ class ReplayBuffer:
         for field, value in zip(self._fields, (observation, action, reward, next_observation, terminated), strict=True):
             row[field] = value
         self.added += 1
+
+    def state(self) -> dict[str, Any]:
+        """What a resume needs besides the stored rows; JSON."""
+        return {"added": self.added, "generator": self.generator.bit_generator.state}
+
+    def rows_before(self, additions: int) -> Callable[[], Array]:
+        """A function that gives the rows stored now, shape (n, row), when at most ``additions`` more have been added.
+
+        It puts back what those have overwritten, which is all that is copied now; after it the additions are gone.
+        """
+        stored = len(self)
+        places = np.arange(self.added, self.added + additions) % self.capacity
+        overwritten = self.rows[places]
+
+        def rows() -> Array:
+            self.rows[places] = overwritten
+            return self.rows[:stored]
+
+        return rows
+
+    def restore(self, rows: Array, state: dict[str, Any]) -> None:
+        """Take over rows and state of another buffer of the same shape; :class:`ValueError` if they do not fit."""
+        added = checks.integer("replay.added", state["added"], low=0, high=2**62)
+        expected = (min(added, self.capacity), self.rows.shape[1])
+        if rows.shape != expected or rows.dtype != np.float32:
+            raise ValueError(f"it holds rows of shape {rows.shape}, not {expected}")
+        self.generator.bit_generator.state = checks.generator_state("replay.generator", state["generator"])
+        self.rows[: len(rows)] = rows
+        self.added = added
 
     def sample(self, batch_size: int) -> Batch:
         """``batch_size`` transitions, drawn uniformly with replacement. Raises ``ValueError`` while empty."""

@@ -6,42 +6,34 @@ it has finished: that file is what tells a finished run.
 
 from __future__ import annotations
 
-import fcntl
 import math
-import os
+import signal
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
-from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import IO, Any, Final
+from types import FrameType
+from typing import Any, Final
 
 import numpy as np
-import torch
+import yaml
+from filelock import FileLock, Timeout
 
-from uarm_rl import checks, files
+from uarm_rl import files
 from uarm_rl.csvfile import Logbook
+from uarm_rl.files import CONFIG, POLICY, PROGRESS
 from uarm_rl.learn import checkpoint
-from uarm_rl.learn.admission import Admission
-from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
-from uarm_rl.learn.ddpg import DDPG
-from uarm_rl.learn.noise import Noise
-from uarm_rl.learn.replay import ReplayBuffer
-from uarm_rl.learn.train import COLUMNS, Counters, stop_on_signals, train
-from uarm_rl.task import observation
-from uarm_rl.task.env import ACTION_SIZE, UArmSuctionEnv
-from uarm_rl.task.policy import FILE, ActorPolicy, Policy
+from uarm_rl.learn.learner import Counters, Learner
+from uarm_rl.learn.train import COLUMNS, Schedule, Stop, train
+from uarm_rl.task.policy import Policy
 
-CONFIG: Final = "config.yaml"
-PROGRESS: Final = "progress.csv"
-
-_LARGEST: Final = {"batch_size": 100_000}
+_LOCK: Final = ".lock"
 
 #: An actor with more of its outputs saturated than this has hardly any gradient left to learn from.
 SATURATION_LIMIT: Final = 0.9
+
+Settings = Mapping[str, Any]
 
 
 class RunFolderError(Exception):
@@ -50,23 +42,21 @@ class RunFolderError(Exception):
 
 def is_finished(run_dir: Path) -> bool:
     """Whether the folder holds a run that trained to its end."""
-    return (run_dir / FILE).exists()
+    return (run_dir / POLICY).exists()
 
 
 @contextmanager
-def claim(run_dir: Path, config_text: str, *, resume: bool, overwrite: bool) -> Iterator[None]:
-    """Make the folder ours for as long as the context lasts, with ``config_text`` in it.
+def claim(
+    run_dir: Path, settings: Settings, read_settings: Callable[[Path], Settings], *, resume: bool, overwrite: bool
+) -> Iterator[None]:
+    """Make the folder ours for as long as the context lasts, with ``settings`` in it.
 
-    Raises :class:`RunFolderError` when it holds another run that nobody allowed to continue or overwrite, a run with another
-    configuration, or one that another process is training.
+    ``read_settings`` gives those of the run that is there. Raises :class:`RunFolderError` when the folder holds a run that
+    nobody allowed to continue or overwrite, one with other settings, or one that another process is training.
     """
     run_dir.mkdir(parents=True, exist_ok=True)
-    with _open_lock(run_dir / ".lock") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise RunFolderError(f"another process is training in {run_dir}; wait for it or choose another name") from None
-        others = [path for path in run_dir.iterdir() if path.name != ".lock"]
+    with _locked(run_dir):
+        others = [path for path in run_dir.iterdir() if path.name != _LOCK]
         if others and overwrite:
             for path in others:
                 files.remove(path)
@@ -76,109 +66,102 @@ def claim(run_dir: Path, config_text: str, *, resume: bool, overwrite: bool) -> 
                 f"{run_dir} already holds {state} run; resume=true continues or keeps it, overwrite=true deletes it, "
                 "name=NAME or seed=N makes another"
             )
-        elif others and (run_dir / CONFIG).exists() and files.read(run_dir / CONFIG) != config_text.encode():
-            raise RunFolderError(
-                f"{run_dir} was begun with another configuration (compare its {CONFIG}); resume it with the same one, "
-                "or choose another name"
-            )
-        files.replace(run_dir / CONFIG, config_text.encode())
+        elif (run_dir / CONFIG).exists():
+            check_same(run_dir, settings, read_settings(run_dir))
+        files.replace(run_dir / CONFIG, yaml.safe_dump(dict(settings), sort_keys=False).encode())
         yield
 
 
-def _open_lock(path: Path) -> IO[bytes]:
-    """The file that is locked; it stays empty, and a link or a pipe in its place is refused."""
+@contextmanager
+def _locked(run_dir: Path) -> Iterator[None]:
+    """Hold the folder's lock. A link or a pipe in its place is refused."""
+    path = run_dir / _LOCK
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise RunFolderError(f"{path} is no plain file; remove it, or choose another name")
-    return open(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666), "rb")
+    try:
+        with FileLock(path, timeout=0):
+            try:
+                yield
+            finally:
+                if is_finished(run_dir):
+                    path.unlink(missing_ok=True)  # whoever waits for the lock notices that its file is another
+    except Timeout:
+        raise RunFolderError(f"another process is training in {run_dir}; wait for it or choose another name") from None
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """How long a run is and what happens when; the names are those of the configuration."""
-
-    episodes: int
-    experiences_per_episode: int
-    max_decisions_per_episode: int
-    batch_size: int
-    warmup_experiences: int
-    validate_every: int
-    checkpoint_every: int
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            checks.integer(name, value, low=0 if name == "warmup_experiences" else 1, high=_LARGEST.get(name))
-        checks.integer("max_decisions_per_episode", self.max_decisions_per_episode, low=self.experiences_per_episode)
+def check_same(run_dir: Path, settings: Settings, before: Settings) -> None:
+    """Raises :class:`RunFolderError` if the run that is there was begun with other settings than these."""
+    if changed := differences({key: before.get(key) for key in settings}, settings):
+        raise RunFolderError(
+            f"{run_dir} was begun with {', '.join(changed)}; resume it as it was begun, or give this one another place with "
+            "name=NAME"
+        )
 
 
-def estimate_s(schedule: Schedule, agent: DDPG, env: UArmSuctionEnv, *, beside: bool) -> float:
-    """How long the whole schedule will take (s), from a short trial of updates and decisions.
-
-    ``agent`` and ``env`` are spare ones: the trial changes them. Validations are not counted.
-    """
-    rows = np.zeros((schedule.batch_size, 2 * observation.SIZE + ACTION_SIZE + 2), np.float32)
-    replay = ReplayBuffer(
-        len(rows), observation_size=observation.SIZE, action_size=ACTION_SIZE, generator=np.random.default_rng(0)
-    )
-    replay.rows[:], replay.added = rows, len(rows)
-    env.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1, 1, (20, ACTION_SIZE)).astype(np.float32)
-    update_s = _median_time_s(lambda _: agent.update(replay.sample(schedule.batch_size)), range(20))
-    decision_s = _median_time_s(env.step, actions)
-    per_decision_s = max(update_s, decision_s) if beside else update_s + decision_s
-    return schedule.episodes * schedule.experiences_per_episode * per_decision_s
+def differences(before: Settings, now: Settings) -> list[str]:
+    """Each setting in which two configurations differ, in words, as in ``agent.gamma=0.9, not 0.99``."""
+    found = []
+    for key in [*before, *(key for key in now if key not in before)]:
+        then, wanted = before.get(key), now.get(key)
+        if isinstance(then, Mapping) and isinstance(wanted, Mapping):
+            found += [f"{key}.{inner}" for inner in differences(then, wanted)]
+        elif then != wanted:
+            found.append(f"{key}={then}, not {wanted}")
+    return found
 
 
-def _median_time_s(work: Callable[[Any], object], arguments: Iterable[Any]) -> float:
-    times = []
-    for argument in arguments:
-        begin = time.perf_counter()
-        work(argument)
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
+@contextmanager
+def stop_on_signals(announce: Callable[[str], None]) -> Iterator[Stop]:
+    """Ctrl-C or SIGTERM asks for a stop after the decision in hand; a second Ctrl-C interrupts at once."""
+    stop = Stop()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.requested:
+            raise KeyboardInterrupt
+        stop.requested = True
+        announce("stopping and saving; press Ctrl-C again to leave at once")
+
+    previous = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def run(
     run_dir: Path,
-    env: InlineEnv | SubprocessEnv,
-    agent: DDPG,
-    policy: ActorPolicy,
-    replay: ReplayBuffer,
-    admission: Admission,
-    noise: Noise,
+    learner: Learner,
     schedule: Schedule,
     *,
-    value_range: tuple[float, float],
     validate: Callable[[Policy], Iterator[bool]],
+    value_range: tuple[float, float],
     tensorboard: bool,
-    say: Callable[[str], None],
 ) -> bool:
     """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop.
 
     ``validate`` tells of one position after the other whether the policy reaches it. ``value_range`` are the lowest and
     highest return that the task allows: a critic outside it raises a warning.
     """
-    counters = Counters()
+    counters = learner.counters
     saved = checkpoint.read_latest(run_dir)
     if saved:
-        _restore(saved, env, agent, replay, noise, counters)
-        say(f"resuming after episode {counters.episode} of {schedule.episodes}")
-    take_snapshot = partial(
-        Snapshot, env, agent, replay, noise, counters, experiences_per_episode=schedule.experiences_per_episode
-    )
-    snapshot = take_snapshot()
-    on_disk = counters.episode if saved else -1
+        learner.restore(saved)
+        print(f"resuming after episode {counters.episode} of {schedule.episodes}")
+    snapshot, episode = learner.snapshot(schedule.experiences_per_episode), counters.episode
+    on_disk = episode if saved else -1
     with ExitStack() as stack:
         log = Logbook(run_dir / PROGRESS, COLUMNS, keep_rows=counters.episode)
         stack.callback(log.close)
         write_scalars = stack.enter_context(_tensorboard(run_dir)) if tensorboard else None
-        bar = stack.enter_context(_progress_bar(schedule, counters))
+        bar = stack.enter_context(_progress_bar(run_dir, schedule, counters))
         stop = stack.enter_context(stop_on_signals(bar.write))
 
         def end_of_episode(row: dict[str, object]) -> None:
-            nonlocal snapshot, on_disk
+            nonlocal snapshot, episode, on_disk
             last = counters.episode == schedule.episodes
             if last or counters.episode % schedule.validate_every == 0:
-                reached = list(takewhile(lambda _: not stop.requested, validate(policy)))
+                reached = list(takewhile(lambda _: not stop.requested, validate(learner.policy)))
                 if stop.requested:
                     return
                 row["validation_success_rate"] = float(np.mean(reached))
@@ -187,32 +170,18 @@ def run(
             if write_scalars:
                 write_scalars(row)
             bar.show(row)
-            snapshot = take_snapshot()
-            if last or counters.episode % schedule.checkpoint_every == 0:
-                snapshot.write(run_dir)
-                on_disk = snapshot.episode
+            snapshot, episode = learner.snapshot(schedule.experiences_per_episode), counters.episode
+            if last or episode % schedule.checkpoint_every == 0:
+                checkpoint.write(run_dir, snapshot())
+                on_disk = episode
 
-        train(
-            env,
-            agent,
-            policy,
-            replay,
-            admission,
-            noise,
-            counters,
-            episodes=schedule.episodes,
-            experiences_per_episode=schedule.experiences_per_episode,
-            max_decisions_per_episode=schedule.max_decisions_per_episode,
-            warmup_experiences=schedule.warmup_experiences,
-            batch_size=schedule.batch_size,
-            end_of_episode=end_of_episode,
-            stop=stop,
-        )
-        if snapshot.episode > on_disk:
-            snapshot.write(run_dir)
-    if snapshot.episode < schedule.episodes:
+        train(learner, schedule, end_of_episode, stop)
+        if episode > on_disk:
+            checkpoint.write(run_dir, snapshot())
+    if episode < schedule.episodes:
         return False
-    policy.save(run_dir / FILE)
+    learner.policy.save(run_dir / POLICY)
+    checkpoint.remove(run_dir)
     return True
 
 
@@ -227,86 +196,6 @@ def warning(row: Mapping[str, object], value_range: tuple[float, float]) -> str:
     if saturation > SATURATION_LIMIT:
         problems.append(f"actor saturated in {saturation:.0%} of its outputs")
     return "; ".join(problems)
-
-
-class Snapshot:
-    """The whole training as it stood between two episodes.
-
-    A stop in the middle of an episode saves the snapshot taken before it: the world is built anew there, so a resumed run
-    goes on with the same bytes. Small things are copied; of the replay buffer only the rows that the next episode may
-    overwrite.
-    """
-
-    def __init__(
-        self,
-        env: InlineEnv | SubprocessEnv,
-        agent: DDPG,
-        replay: ReplayBuffer,
-        noise: Noise,
-        counters: Counters,
-        *,
-        experiences_per_episode: int,
-    ) -> None:
-        self.episode = counters.episode
-        self._agent = {f"agent/{name}": tensor.numpy().copy() for name, tensor in agent.tensors().items()}
-        self._replay = replay
-        self._length = len(replay)
-        self._next_rows = np.arange(replay.added, replay.added + experiences_per_episode) % replay.capacity
-        self._overwritten = replay.rows[self._next_rows]
-        self._state = {
-            "counters": asdict(counters),
-            "replay": {"added": replay.added, "generator": replay.generator.bit_generator.state},
-            "noise": {"state": noise.state.tolist(), "generator": noise.generator.bit_generator.state},
-            "env": {"generator": env.generator_state()},
-        }
-
-    def write(self, run_dir: Path) -> None:
-        """Save it as a checkpoint. The training cannot go on behind it if it has begun the next episode."""
-        self._replay.rows[self._next_rows] = self._overwritten
-        checkpoint.write(run_dir, self.episode, self._agent | {"replay/rows": self._replay.rows[: self._length]}, self._state)
-
-
-def _restore(
-    saved: tuple[int, checkpoint.Arrays, dict[str, Any]],
-    env: InlineEnv | SubprocessEnv,
-    agent: DDPG,
-    replay: ReplayBuffer,
-    noise: Noise,
-    counters: Counters,
-) -> None:
-    episode, arrays, state = saved
-    try:
-        values = checks.mapping("counters", state["counters"])
-        if values.keys() != asdict(counters).keys():
-            raise ValueError(f"it counts {', '.join(values)}")
-        for name, value in values.items():
-            checks.number(name, value, low=0.0) if name == "wall_s" else checks.integer(name, value, low=0, high=2**62)
-        added, rows = checks.integer("replay.added", state["replay"]["added"], low=0, high=2**62), arrays["replay/rows"]
-        expected = (min(added, replay.capacity), replay.rows.shape[1])
-        if values["episode"] != episode or rows.shape != expected or rows.dtype != np.float32:
-            raise ValueError(f"it holds episode {values['episode']} and rows of shape {rows.shape}, not {expected}")
-        noise_state = np.array(state["noise"]["state"], np.float64)
-        if noise_state.shape != noise.state.shape or not np.isfinite(noise_state).all():
-            raise ValueError("the state of its noise is none")
-        agent.load_tensors(
-            {
-                name.removeprefix("agent/"): torch.from_numpy(array)
-                for name, array in arrays.items()
-                if name.startswith("agent/")
-            }
-        )
-        if any(state[part]["generator"]["has_uint32"] not in (0, 1) for part in ("replay", "noise", "env")):
-            raise ValueError("the state of a generator is none")  # numpy would take it
-        replay.generator.bit_generator.state = state["replay"]["generator"]
-        noise.generator.bit_generator.state = state["noise"]["generator"]
-        env.set_generator_state(state["env"]["generator"])
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise checkpoint.CheckpointError(f"the checkpoint does not fit this configuration ({error!r:.200})") from error
-    replay.rows[: len(rows)] = rows
-    replay.added = added
-    noise.state = noise_state
-    for name, value in values.items():
-        setattr(counters, name, value)
 
 
 class _Bar:
@@ -339,11 +228,17 @@ class _Bar:
 
 
 @contextmanager
-def _progress_bar(schedule: Schedule, counters: Counters) -> Iterator[_Bar]:
+def _progress_bar(run_dir: Path, schedule: Schedule, counters: Counters) -> Iterator[_Bar]:
     from tqdm import tqdm
 
     with tqdm(
-        total=schedule.episodes, initial=counters.episode, unit="episode", dynamic_ncols=True, mininterval=0.5, smoothing=0.1
+        total=schedule.episodes,
+        initial=counters.episode,
+        desc=f"{run_dir.parent.name}/{run_dir.name}",  # several may run side by side
+        unit="episode",
+        dynamic_ncols=True,
+        mininterval=0.5,
+        smoothing=0.1,
     ) as bar:
         yield _Bar(bar, counters)
 

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from types import FrameType
-from typing import Any, Final, Protocol
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Final
 
 import numpy as np
 
-from uarm_rl.learn.admission import Admission
-from uarm_rl.learn.ddpg import DDPG, DivergenceError
-from uarm_rl.learn.noise import Noise
-from uarm_rl.learn.replay import ReplayBuffer
-from uarm_rl.task.policy import Policy
+from uarm_rl import checks
+from uarm_rl.learn.ddpg import DivergenceError
+from uarm_rl.learn.learner import Learner
 
 COLUMNS: Final = (
     "episode",
@@ -41,24 +36,25 @@ COLUMNS: Final = (
     "warning",
 )
 
-
-class TrainingEnv(Protocol):
-    """An environment whose step is in two halves, so that the learner can work while the arm moves."""
-
-    def reset(self, *, home: bool) -> Any: ...
-    def send(self, action: Any) -> None: ...
-    def receive(self) -> tuple[Any, float, bool, bool, dict[str, Any]]: ...
+_LARGEST: Final = {"batch_size": 100_000}
 
 
-@dataclass
-class Counters:
-    """How far a training is; all of it is in the checkpoint. ``experiences`` are counted by the replay buffer."""
+@dataclass(frozen=True)
+class Schedule:
+    """How long a run is and what happens when; the names are those of the configuration."""
 
-    episode: int = 0
-    decisions: int = 0
-    control_steps: int = 0
-    updates: int = 0
-    wall_s: float = 0.0
+    episodes: int
+    experiences_per_episode: int
+    max_decisions_per_episode: int
+    batch_size: int
+    warmup_experiences: int
+    validate_every: int
+    checkpoint_every: int
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            checks.integer(name, value, low=0 if name == "warmup_experiences" else 1, high=_LARGEST.get(name))
+        checks.integer("max_decisions_per_episode", self.max_decisions_per_episode, low=self.experiences_per_episode)
 
 
 class Stop:
@@ -67,72 +63,38 @@ class Stop:
     requested = False
 
 
-@contextmanager
-def stop_on_signals(announce: Callable[[str], None]) -> Iterator[Stop]:
-    """Ctrl-C or SIGTERM asks for a stop after the decision in hand; a second Ctrl-C interrupts at once."""
-    stop = Stop()
+def train(learner: Learner, schedule: Schedule, end_of_episode: Callable[[dict[str, object]], None], stop: Stop) -> None:
+    """Train until the schedule's last episode, or until a stop is requested: then in the middle of an episode.
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        if stop.requested:
-            raise KeyboardInterrupt
-        stop.requested = True
-        announce("stopping and saving; press Ctrl-C again to leave at once")
-
-    previous = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-
-
-def train(
-    env: TrainingEnv,
-    agent: DDPG,
-    policy: Policy,
-    replay: ReplayBuffer,
-    admission: Admission,
-    noise: Noise,
-    counters: Counters,
-    *,
-    episodes: int,
-    experiences_per_episode: int,
-    max_decisions_per_episode: int,
-    warmup_experiences: int,
-    batch_size: int,
-    end_of_episode: Callable[[dict[str, object]], None],
-    stop: Stop,
-) -> None:
-    """Train until ``counters.episode`` reaches ``episodes``, or a stop is requested: then in the middle of an episode.
-
-    One gradient step per stored experience, taken while the arm carries out the next decision. An episode
-    ends after ``experiences_per_episode`` stored experiences; a success or a lost object only places a new object.
-    ``end_of_episode`` receives the episode's row of the log.
+    One gradient step per stored experience, taken while the arm carries out the next decision. An episode ends when its
+    experiences are stored; a success or a lost object only places a new object. ``end_of_episode`` receives the episode's
+    row of the log. Raises :class:`DivergenceError` when a number is no longer finite.
     """
-    total = episodes * experiences_per_episode
-    while counters.episode < episodes and not stop.requested:
+    env, replay, counters = learner.env, learner.replay, learner.counters
+    total = schedule.episodes * schedule.experiences_per_episode
+    while counters.episode < schedule.episodes and not stop.requested:
         began = time.perf_counter()
         observation = env.reset(home=True)
-        noise.reset()
-        goal = replay.added + experiences_per_episode
+        learner.noise.reset()
         metrics: dict[str, float] = {}
         episode_return, object_moved_m, successes, object_losses, explosions = 0.0, 0.0, 0, 0, 0
-        first_decision = counters.decisions
-        first_experience = replay.added
+        first_decision, first_experience = counters.decisions, replay.added
+        last_decision = first_decision + schedule.max_decisions_per_episode
 
-        while replay.added < goal and counters.decisions < first_decision + max_decisions_per_episode:
-            action = np.clip(policy.act(observation) + noise(replay.added / total), -1.0, 1.0, dtype=np.float32)
-            env.send(action)
-            while counters.updates < replay.added - warmup_experiences:
-                metrics = agent.update(replay.sample(batch_size))
+        while replay.added < first_experience + schedule.experiences_per_episode and counters.decisions < last_decision:
+            noise = learner.noise(replay.added / total)
+            action = np.clip(learner.policy.act(observation) + noise, -1.0, 1.0, dtype=np.float32)
+            env.step_async(action)
+            while counters.updates < replay.added - schedule.warmup_experiences:
+                metrics = learner.agent.update(replay.sample(schedule.batch_size))
                 counters.updates += 1
-            next_observation, reward, terminated, truncated, info = env.receive()
+            next_observation, reward, terminated, truncated, info = env.step_wait()
             if stop.requested:
                 return
 
             if not (math.isfinite(reward) and np.isfinite(next_observation).all()):
                 raise DivergenceError(f"the environment returned reward {reward!r} and observation {next_observation!r}")
-            if not info["exploded"] and admission.admits(info["clipped"], info["travel_rad"]):
+            if not info["exploded"] and learner.admission.admits(info["clipped"], info["travel_rad"]):
                 replay.add(observation, action, reward, next_observation, terminated)
             counters.decisions += 1
             counters.control_steps += info["control_steps"]

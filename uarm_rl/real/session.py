@@ -29,7 +29,7 @@ from uarm_rl.real.ports import ARM, PortError, find_port
 from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import COLUMNS, ObjectNotFoundError, Row, Search, Task, Trial, out_of_reach, run_trials
 from uarm_rl.report.statistics import wilson_interval
-from uarm_rl.task import policy, positions
+from uarm_rl.task import positions
 from uarm_rl.task.kinematics import Vector
 from uarm_rl.task.policy import ActorPolicy, Policy, PolicyCard, PolicyFileError
 
@@ -188,7 +188,7 @@ def load_policy(path: Path) -> ActorPolicy:
 
     Raises :class:`UsageError` if there is none, and ``PolicyFileError`` for a file that cannot be used.
     """
-    file = path / policy.FILE if path.is_dir() else path
+    file = path / files.POLICY if path.is_dir() else path
     if not file.is_file():
         raise UsageError(
             f"there is no policy {file}; name the folder of a trained run with --policy (uarm-rl train experiment=real_arm "

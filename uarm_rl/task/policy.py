@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ from uarm_rl.task import kinematics, observation
 Array = NDArray[np.float32]
 Numbers = NDArray[np.float32] | NDArray[np.float64]
 Layers = Sequence[tuple[Numbers, Numbers]]
-
-FILE: Final = "policy.safetensors"  # its name in a run folder
 
 _FORMAT = "uarm-rl policy 1"  # the one key of the file's metadata: with two, their order would be random
 _MAX_BYTES = 64 * 1024 * 1024
