@@ -34,7 +34,7 @@ import stable_baselines3
 import torch
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
-import uarm_rl.task.env
+import uarm_rl
 from uarm_rl import configuration
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure

@@ -140,6 +140,7 @@ def build_env(
         time_limit_s=time_limit_s,
         object_height_m=sim["object_size_m"],
         render_mode=render_mode,
+        render_modes=("rgb_array", "rgb_array_list", *(("human",) if SimArm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size),
     )
 

@@ -77,8 +77,7 @@ class World:
         object_size_m: float,
         object_mass_kg: float,
         friction: float,
-        cup_stiffness_n_m: float,
-        cup_damping_n_s_m: float,
+        exact_cup: bool = False,
         gui: bool = False,
         replace_object: bool = False,
         nearest_m: float = 0.0,
@@ -97,8 +96,7 @@ class World:
             object_size_m=object_size_m,
             object_mass_kg=object_mass_kg,
             friction=friction,
-            cup_stiffness_n_m=cup_stiffness_n_m,
-            cup_damping_n_s_m=cup_damping_n_s_m,
+            exact_cup=exact_cup,
             gui=gui,
         )
         self._powered_nm = self._arm.torques_nm

@@ -8,9 +8,10 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib import resources
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,15 @@ def _silent(descriptor: int) -> Iterator[None]:
         os.close(null)
 
 
-with _silent(2):
-    import pybullet as bullet
+try:
+    with _silent(2):
+        import pybullet as bullet
+except ModuleNotFoundError:
+    raise ModuleNotFoundError(
+        "pybullet is not installed; training and simulation need Python 3.10 or 3.11 on Linux x86-64, where pip installs it "
+        "with uarm-rl",
+        name="pybullet",
+    ) from None
 
 __all__ = ["Bodies", "SimArm", "bullet"]
 
@@ -50,6 +58,7 @@ _TORQUE_NM = (1.18, 1.18, 1.18, 1.18)  # the data sheet's 12 kgf cm
 _SLACK_RAD = 0.1  # contact may push a joint past its limit by a little, never by this much
 _EXPLODED_RAD_S = 1e3
 _PARKED_M = (0.0, 0.6, 0.0)  # the object's place, on the table and out of reach, until it is placed
+_RESTING_M = 1e-3  # a position may be so far from what an object that lies on the table has
 _LOST_TILT = math.cos(math.radians(30.0))
 
 
@@ -80,8 +89,7 @@ class SimArm:
         object_size_m: float,
         object_mass_kg: float,
         friction: float,
-        cup_stiffness_n_m: float,
-        cup_damping_n_s_m: float,
+        exact_cup: bool = False,
         gui: bool = False,
     ) -> None:
         self._servo = servo
@@ -94,8 +102,17 @@ class SimArm:
         self._object_size_m = checks.number("sim.object_size_m", object_size_m, low=0.005, high=0.1)
         self._object_mass_kg = checks.number("sim.object_mass_kg", object_mass_kg, low=0.0, high=1.0, open_low=True)
         self._friction = checks.number("sim.friction", friction, low=0.0, high=2.0)
-        self._cup_stiffness = checks.number("sim.cup_stiffness_n_m", cup_stiffness_n_m, low=0.0, open_low=True)
-        self._cup_damping = checks.number("sim.cup_damping_n_s_m", cup_damping_n_s_m, low=0.0)
+        # PyBullet makes a hull of a cylinder, which stands 1 mm proud of it; the published runs have the hull.
+        self._cup_flags = bullet.URDF_USE_IMPLICIT_CYLINDER if checks.boolean("sim.exact_cup", exact_cup) else 0
+        self._arguments: dict[str, Any] = {
+            "control_hz": control_hz,
+            "physics_hz": physics_hz,
+            "object_size_m": object_size_m,
+            "object_mass_kg": object_mass_kg,
+            "friction": friction,
+            "exact_cup": exact_cup,
+            "gui": gui,
+        }
         self._client = self._connect(checks.boolean("sim.gui", gui))
         with resources.as_file(resources.files("uarm_rl.sim") / "assets") as assets:
             self._urdf = str(assets / "uarm_swift_pro.urdf")
@@ -103,11 +120,20 @@ class SimArm:
         self._arm = self._object = self._table = -1
         self.home()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is another world, built anew; two must not share one client."""
+        return partial(SimArm, **self._arguments), (self._servo,)
+
+    @staticmethod
+    def has_screen() -> bool:
+        """Whether a window can be opened."""
+        return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
+
     @staticmethod
     def _connect(gui: bool) -> int:
         if not gui:
             return int(bullet.connect(bullet.DIRECT))
-        if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        if not SimArm.has_screen():
             raise ArmError("sim.gui=true needs a screen, and DISPLAY is not set; leave it false or start an X server")
         client = int(bullet.connect(bullet.GUI, options="--width=1024 --height=768"))
         bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=client)
@@ -139,15 +165,13 @@ class SimArm:
         half = self._object_size_m / 2.0
         x, y, z = _PARKED_M
         self._object = self._box((half, half, half), self._object_mass_kg, (x, y, z + half), (0.85, 0.25, 0.15, 1))
-        self._arm = bullet.loadURDF(self._urdf, useFixedBase=True, **client)
+        self._arm = bullet.loadURDF(self._urdf, useFixedBase=True, flags=self._cup_flags, **client)
         for body in (table, self._object):
             bullet.changeDynamics(body, -1, lateralFriction=self._friction, **client)
         for link in range(-1, _CUP + 1):
             bullet.changeDynamics(
                 self._arm, link, linearDamping=0, angularDamping=0, jointDamping=0, lateralFriction=self._friction, **client
             )
-        # Asked for, but the direct solver takes the contact as rigid, whatever stiffness between 150 and 100,000 N/m.
-        bullet.changeDynamics(self._arm, _CUP, contactStiffness=self._cup_stiffness, contactDamping=self._cup_damping, **client)
         # Base and turret stand above the table for good, so those pairs need no collision test.
         for link in (-1, 0):
             bullet.setCollisionFilterPair(self._arm, table, link, -1, 0, **client)
@@ -190,14 +214,18 @@ class SimArm:
                 arm, _JOINTS, bullet.VELOCITY_CONTROL, targetVelocities=velocities, forces=forces, physicsClientId=client
             )
             bullet.stepSimulation(physicsClientId=client)
-        if not (
-            abs(v1) + abs(v2) + abs(v3) < _EXPLODED_RAD_S and kinematics.within_limits((q1, q2, q3), _SLACK_RAD)
-        ):  # NaN too
+        q1, q2, q3 = joints = self.read_joints()
+        if not (abs(v1) + abs(v2) + abs(v3) < _EXPLODED_RAD_S and kinematics.within_limits(joints, _SLACK_RAD)):  # NaN too
             raise PhysicsError(f"the joints are at ({q1:g}, {q2:g}, {q3:g}) rad, asked for ({v1:g}, {v2:g}, {v3:g}) rad/s")
         return 1
 
     def place_object(self, top_m: Sequence[float] | Vector) -> None:
         x, y, z = (float(value) for value in top_m)
+        if not abs(z - self._object_size_m) <= _RESTING_M:
+            raise ValueError(
+                f"an object of {1000 * self._object_size_m:g} mm rests on the table, so its upper surface is at "
+                f"{self._object_size_m:g} m, and not at {z:g} m; give that as z, or another sim.object_size_m"
+            )
         bullet.resetBasePositionAndOrientation(
             self._object, (x, y, z - self._object_size_m / 2.0), (0, 0, 0, 1), physicsClientId=self._client
         )

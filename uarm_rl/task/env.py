@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import gymnasium
@@ -15,11 +15,11 @@ from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import Arm, ArmError, JointPositions, PhysicsError, Target
 from uarm_rl.task.hold import Hold
 from uarm_rl.task.observation import SIZE, Observation, observe
-from uarm_rl.task.reward import DistanceReward
+from uarm_rl.task.reward import DistanceReward, RewardTerms
 
 ACTION_SIZE: Final = 3
 
-#: Columns of ``info["trace"]``: one row each time the arm is looked at.
+#: Columns of ``trace``: one row each time the arm is looked at.
 TRACE_COLUMNS: Final = (
     *(f"joint{number}_rad" for number in (1, 2, 3)),
     *(f"cup_{axis}_m" for axis in "xyz"),
@@ -46,13 +46,18 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one) and ``home`` (default
     true; false leaves the arm where it is and only places a new object).
 
-    ``info`` of a step: ``is_success``, ``distance_m``, ``control_steps`` of the decision, ``clipped`` (the reference
-    was cut at a limit), ``travel_rad`` (largest joint difference between the two states), the reward's terms, and
-    ``trace``, an array of shape (looks, 9) with the columns ``TRACE_COLUMNS``: one look a control step, fewer on an arm
-    that takes several steps to come to rest.
+    ``info`` has the same keys after ``reset`` and ``step``: ``is_success``, ``distance_m``, ``object_position`` (3,),
+    ``control_steps`` of the decision, ``clipped`` (the reference was cut at a limit), ``travel_rad`` (largest joint difference
+    between the two states), the reward's three terms, ``object_moved_m``, ``object_lost`` and ``exploded``. How the decision
+    went, control step by control step, is in ``trace``.
+
+    ``metadata`` is each environment's own: ``render_fps`` is the number of decisions a second, so that a film with a picture a
+    decision plays at about the arm's speed; with ``rgb_array_list``, ``render`` has a picture for every control step.
+
+    A copy, by ``copy.deepcopy`` or ``pickle``, has a world of its own and begins with ``reset``.
     """
 
-    metadata = {"render_modes": ["human", "rgb_array", "rgb_array_list"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's own form)
+    metadata = {"render_modes": ["rgb_array", "rgb_array_list"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's own form)
 
     def __init__(
         self,
@@ -68,11 +73,12 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         time_limit_s: float | None,
         object_height_m: float,
         render_mode: str | None = None,
+        render_modes: Sequence[str] = (),
         take_picture: Callable[[], NDArray[np.uint8]] | None = None,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            allowed = ", ".join(self.metadata["render_modes"])
-            raise ValueError(f"render_mode must be one of {allowed}, or None, got {render_mode!r}")
+        self.metadata = {"render_modes": list(render_modes), "render_fps": control_hz / hold.usual_control_steps}
+        if render_mode not in (None, *render_modes):
+            raise ValueError(f"render_mode must be one of {', '.join(render_modes)}, or None, got {render_mode!r}")
         self.arm = arm
         self.target = target
         self.render_mode = render_mode
@@ -80,13 +86,16 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._hold = hold
         self._max_delta_rad = checks.number("max_delta_rad", max_delta_rad, low=0.0, high=math.pi, open_low=True)
         self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
-        self._dwell_steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
+        dwell_steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
+        self._dwell_steps = max(1, dwell_steps)  # a dwell of nothing: arriving is enough
         self._step_limit = math.inf
         if time_limit_s is not None:
             self._step_limit = checks.number("time_limit_s", time_limit_s, low=1.0 / control_hz, high=_LONGEST_S) * control_hz
         self._object_height_m = object_height_m
         self._take_picture = take_picture
         self._pictures: list[NDArray[np.uint8]] = []
+        self._trace: list[NDArray[np.float64]] = []
+        self._begun = False
         self.observation_space = gymnasium.spaces.Box(-2.0 * math.pi, 2.0 * math.pi, (SIZE,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
 
@@ -103,9 +112,11 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._dwelt_steps = 0
         self._elapsed_steps = 0
         self._flag = False
+        self._begun = True
+        self._trace = []
         if self.render_mode == "rgb_array_list":
             self._pictures = [self._picture()]
-        return self._observe(), {"distance_m": self._distance_m(), "object_position": self._object}
+        return self._observe(), self._info(RewardTerms(0.0, 0.0, 0.0))
 
     def _place(self, wanted: Any) -> tuple[float, float, float]:
         if wanted is None:
@@ -123,9 +134,11 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return x, y, z
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("step needs a reset before it, in a copy too")
         start_joints, start_cup, start_object = self._joints, self._link_ends[3].tolist(), self._object
         clipped = self._command(action)
-        trace, control_steps = [], 0
+        self._trace, control_steps = [], 0
         lost = timed_out = released = exploded = False
         while not (self._flag or lost or timed_out or released):
             last = self._joints
@@ -136,27 +149,57 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 break
             lost = not self._sense(passed)
             control_steps += passed
-            trace.append(self.state())
+            self._trace.append(self.state())
             timed_out = self._elapsed_steps >= self._step_limit
             released = self._hold.releases(control_steps, _travel(last, self._joints))
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
         terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object)
-        info = {
+        info = self._info(
+            terms,
+            control_steps=control_steps,
+            clipped=clipped,
+            travel_rad=_travel(start_joints, self._joints),
+            object_moved_m=math.dist(start_object, self._object),
+            object_lost=lost,
+            exploded=exploded,
+        )
+        return self._observe(), terms.total, self._flag, not self._flag and (lost or timed_out or exploded), info
+
+    def _info(
+        self,
+        terms: RewardTerms,
+        *,
+        control_steps: int = 0,
+        clipped: bool = False,
+        travel_rad: float = 0.0,
+        object_moved_m: float = 0.0,
+        object_lost: bool = False,
+        exploded: bool = False,
+    ) -> dict[str, Any]:
+        """What vector environments can batch: the same keys, shapes and types every time."""
+        return {
             "is_success": self._flag,
             "distance_m": self._distance_m(),
+            "object_position": np.array(self._object),
             "control_steps": control_steps,
             "clipped": clipped,
-            "travel_rad": _travel(start_joints, self._joints),
+            "travel_rad": travel_rad,
             "reward_distance": terms.distance,
             "reward_progress": terms.progress,
             "reward_displacement": terms.displacement,
-            "object_moved_m": math.dist(start_object, self._object),
-            "object_lost": lost,
+            "object_moved_m": object_moved_m,
+            "object_lost": object_lost,
             "exploded": exploded,
-            "trace": np.array(trace).reshape(-1, len(TRACE_COLUMNS)),
         }
-        return self._observe(), terms.total, self._flag, not self._flag and (lost or timed_out or exploded), info
+
+    @property
+    def trace(self) -> NDArray[np.float64]:
+        """The last decision, shape (looks, 9), with the columns ``TRACE_COLUMNS``.
+
+        A look a control step, fewer on an arm that takes several steps to come to rest; none after ``reset``.
+        """
+        return np.array(self._trace).reshape(-1, len(TRACE_COLUMNS))
 
     def _command(self, action: NDArray[np.float32]) -> bool:
         """Command the joints; true if the reference had to be cut at a limit."""
@@ -180,10 +223,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if position is not None:
             self._object = position
         self._elapsed_steps += passed
-        # Of the way in, only its end is known to be near enough.
+        # An arm that was seen only before and after several steps was near enough at the end of them, perhaps not before.
         stayed = passed if self._dwelt_steps else 1
         self._dwelt_steps = self._dwelt_steps + stayed if self._distance_m() <= self._tolerance_m else 0
-        self._flag = self._dwelt_steps >= self._dwell_steps > 0
+        self._flag = self._dwelt_steps >= self._dwell_steps
         return position is not None and kinematics.reachable(position)
 
     def state(self) -> NDArray[np.float64]:
@@ -208,15 +251,15 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.render_mode == "rgb_array_list":
             pictures, self._pictures = self._pictures, []
             return pictures
-        return None  # "human": PyBullet's own window shows the world
+        return None  # "human": the engine's own window shows the world
 
     def close(self) -> None:
         self.arm.close()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy's world is built anew, so its episode has not begun."""
+        return self.__dict__ | {"_begun": False, "_pictures": [], "_trace": []}
+
 
 def _travel(start: JointPositions, end: JointPositions) -> float:
     return max(abs(end[0] - start[0]), abs(end[1] - start[1]), abs(end[2] - start[2]))
-
-
-# Importing this module is what makes ``gymnasium.make("uarm_rl/UArmSuction-v0")`` work.
-gymnasium.register(id="uarm_rl/UArmSuction-v0", entry_point="uarm_rl.configuration:make_env")

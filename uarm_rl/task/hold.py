@@ -8,13 +8,21 @@ adaptive update when the arm has reached a steady state (section 3.3).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 from uarm_rl import checks
+
+#: What the published runs of method C took to come to rest, in the mean.
+_USUAL: Final = 13
 
 
 class Hold(Protocol):
     """A rule for how long a command acts."""
+
+    @property
+    def usual_control_steps(self) -> int:
+        """About how long a decision takes, for films."""
+        ...
 
     def releases(self, control_steps: int, travel_rad: float) -> bool:
         """Whether the decision ends now.
@@ -33,6 +41,10 @@ class FixedHold:
 
     def __post_init__(self) -> None:
         checks.integer("hold.control_steps", self.control_steps, low=1)
+
+    @property
+    def usual_control_steps(self) -> int:
+        return self.control_steps
 
     def releases(self, control_steps: int, travel_rad: float) -> bool:
         return control_steps >= self.control_steps
@@ -58,10 +70,14 @@ class UntilSteady:
         checks.integer("hold.min_control_steps", self.min_control_steps, low=1)
         checks.integer("hold.max_control_steps", self.max_control_steps, low=self.min_control_steps)
 
+    @property
+    def usual_control_steps(self) -> int:
+        return min(max(_USUAL, self.min_control_steps), self.max_control_steps)
+
     def releases(self, control_steps: int, travel_rad: float) -> bool:
         if control_steps < self.min_control_steps:
             return False
         return travel_rad < self.steady_threshold_rad or control_steps >= self.max_control_steps
 
     def __str__(self) -> str:
-        return f"until_steady({self.min_control_steps}..{self.max_control_steps})"
+        return f"until_steady({self.min_control_steps}..{self.max_control_steps}, {self.steady_threshold_rad:g} rad)"

@@ -31,8 +31,8 @@ def run_episode(env: UArmSuctionEnv, policy: Policy, **reset: Any) -> Episode:
     episode_return, decisions = 0.0, 0
     terminated = truncated = False
     while not (terminated or truncated):
-        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        traces.append(info["trace"])
+        observation, reward, terminated, truncated, _ = env.step(policy.act(observation))
+        traces.append(env.trace)
         episode_return += reward
         decisions += 1
     return Episode(terminated, episode_return, decisions, np.concatenate(traces))
