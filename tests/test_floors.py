@@ -26,7 +26,8 @@ WINGS = {
     "configuration": {"task", "sim", "real", "learn"},
     "commands": {"task", "sim", "real", "learn", "evaluation", "report", "emulator", "configuration"},
     "cli": {"commands", "configuration", "uarm_rl"},
-    "uarm_rl": set(),
+    "uarm_rl": {"configuration", "task"},
+    "__main__": {"cli"},
 }
 ROOT_FILES = {"checks", "files", "csvfile", "workers"}
 
