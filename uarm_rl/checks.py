@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,24 @@ def integer(name: str, value: object, *, low: int, high: int | None = None) -> i
     """``value`` as an int if it is a whole number in [low, high]; :class:`ValueError` with a sentence otherwise."""
     top = math.inf if high is None else high
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= top:
-        raise ValueError(f"{name} must be a whole number{_range(low, top, False)}, got {_shown(value)}")
+        hint = f"; write {name}={value:.0f}" if isinstance(value, float) and value.is_integer() else ""
+        raise ValueError(f"{name} must be a whole number{_range(low, top, False)}, got {_shown(value)}{hint}")
     return value
+
+
+def integers(name: str, value: object, *, low: int, high: int) -> list[int]:
+    """``value`` as a list if it holds at least one whole number, all in [low, high]; :class:`ValueError` otherwise."""
+    if not isinstance(value, Sequence) or isinstance(value, str) or not value:
+        raise ValueError(f"{name} must be a list of whole numbers{_range(low, high, False)}, got {_shown(value)}")
+    return [integer(name, one, low=low, high=high) for one in value]
+
+
+def position(name: str, value: object) -> tuple[float, float, float]:
+    """``value`` as x, y and z if it is three finite numbers (m); :class:`ValueError` with a sentence otherwise."""
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise ValueError(f"{name} must be three numbers in metres, as in {name}=[0.25,0.1,0.03], got {_shown(value)}")
+    x, y, z = (number(name, one) for one in value)
+    return x, y, z
 
 
 def boolean(name: str, value: object) -> bool:
@@ -80,7 +96,11 @@ def _range(low: float, high: float, open_low: bool) -> str:
     if low == -math.inf and high == math.inf:
         return ""
     if high == math.inf:
-        return f" above {low:g}" if open_low else f" of at least {low:g}"
+        return f" above {_bound(low)}" if open_low else f" of at least {_bound(low)}"
     if low == -math.inf:
-        return f" of at most {high:g}"
-    return f" above {low:g} and at most {high:g}" if open_low else f" from {low:g} to {high:g}"
+        return f" of at most {_bound(high)}"
+    return f" {f'above {_bound(low)} and at most' if open_low else f'from {_bound(low)} to'} {_bound(high)}"
+
+
+def _bound(value: float) -> str:
+    return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else f"{value:g}"

@@ -6,8 +6,10 @@ open sets, never by a dotted path in a file: the configuration in a downloaded r
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from functools import cache, partial
 from importlib import resources
@@ -103,10 +105,24 @@ def build(group: str, settings: Mapping[str, Any], **runtime: Any) -> Any:
     name = arguments.pop("name", None)
     if name not in classes:
         raise ValueError(f"{group} has no {name!r}; choose one of {', '.join(classes)}")
-    try:
-        return classes[name](**arguments, **runtime)
-    except TypeError as error:  # a missing or an unknown argument
-        raise ValueError(f"the keys of {group}={name} do not fit: {error}") from error
+    check_keys(f"{group}={name}", classes[name], arguments, given=runtime)
+    return classes[name](**arguments, **runtime)
+
+
+def check_keys(where: str, make: Callable[..., Any], settings: Mapping[str, Any], *, given: Collection[str] = ()) -> None:
+    """Raises :class:`ValueError` with a sentence unless the keys of ``settings`` are those that ``make`` takes.
+
+    ``given`` are arguments that do not come from the configuration.
+    """
+    parameters = {name: one for name, one in inspect.signature(make).parameters.items() if name not in given}
+    for key in settings:
+        if key not in parameters:
+            near = difflib.get_close_matches(key, parameters, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(parameters) or 'no keys'}"
+            raise ValueError(f"{where} has no key {key!r}; {hint}")
+    for name, parameter in parameters.items():
+        if parameter.default is parameter.empty and name not in settings:
+            raise ValueError(f"{where} lacks the key {name}")
 
 
 def build_env(
@@ -124,10 +140,8 @@ def build_env(
     from uarm_rl.task.env import UArmSuctionEnv
 
     sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
-    try:
-        arm = SimArm(build("servo", settings["servo"]), control_hz=settings["control_hz"], **sim)
-    except TypeError as error:
-        raise ValueError(f"the keys of sim do not fit: {error}") from error
+    check_keys("sim", SimArm, sim, given=("servo", "control_hz"))
+    arm = SimArm(build("servo", settings["servo"]), control_hz=settings["control_hz"], **sim)
     return UArmSuctionEnv(
         arm,
         arm,
@@ -152,12 +166,31 @@ def make_env(overrides: tuple[str, ...] = (), render_mode: str | None = None) ->
     return build_env(settings, time_limit_s=settings["time_limit_s"], render_mode=render_mode)
 
 
-def compose(command: str, overrides: tuple[str, ...] = ()) -> Settings:
-    """The configuration of a command as a plain dict, with ``overrides`` as on the command line."""
+def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = False) -> Settings:
+    """The configuration of a command as a plain dict, with ``overrides`` as on the command line.
+
+    Raises :class:`UsageError` for a value that is missing, unless ``incomplete``: then it is ``???``.
+    """
     import hydra
 
     with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
-        return plain(hydra.compose(command.replace("-", "_"), list(overrides)))
+        return plain(hydra.compose(command.replace("-", "_"), list(overrides)), incomplete=incomplete)
+
+
+def groups() -> list[str]:
+    """The configuration groups: the folders of ``conf/``."""
+    return [path.name for path in resources.files("uarm_rl.conf").iterdir() if path.is_dir() and path.name != "__pycache__"]
+
+
+def keys(settings: Settings, prefix: str = "") -> list[str]:
+    """All settings by their dotted names, but those that a group's choice decides."""
+    found: list[str] = []
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            found += keys(value, f"{prefix}{key}.")
+        elif key != "name" or not prefix:
+            found.append(f"{prefix}{key}")
+    return found
 
 
 def choices(group: str) -> list[str]:
@@ -167,11 +200,11 @@ def choices(group: str) -> list[str]:
     return sorted(path.name.removesuffix(".yaml") for path in files_there if path.name.endswith(".yaml"))
 
 
-def plain(cfg: DictConfig) -> Settings:
+def plain(cfg: DictConfig, *, incomplete: bool = False) -> Settings:
     """A configuration as a plain dict, interpolations resolved. Raises :class:`UsageError` for a missing value."""
     from omegaconf import OmegaConf
 
-    if missing := OmegaConf.missing_keys(cfg):
+    if not incomplete and (missing := OmegaConf.missing_keys(cfg)):
         raise UsageError(f"{min(missing)}=VALUE is needed; --help tells what it is")
     settings = OmegaConf.to_container(cfg, resolve=True)
     assert isinstance(settings, dict)

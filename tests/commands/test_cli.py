@@ -68,7 +68,7 @@ def test_everything_evaluated_is_nothing_to_do(trained):
 
 
 def test_an_evaluation_says_under_which_conditions_it_was_made(trained):
-    holds = {"uniform-plain": "fixed(1)", "adaptive-penalty": "until_steady(2..40)"}
+    holds = {"uniform-plain": "fixed(1)", "adaptive-penalty": "until_steady(2..40, 0.001 rad)"}
     sigmas = {"uniform-plain": "0", "adaptive-penalty": "-5"}
     for name, hold in holds.items():
         with open(trained / "results" / name / "seed0" / "evaluation.csv", newline="") as file:
@@ -270,7 +270,9 @@ def test_a_folder_that_takes_no_files_is_named(tmp_path):
 def test_a_finished_run_is_refused_and_kept(trained):
     run = trained / "results" / "adaptive-penalty" / "seed0"
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    assert_refused(uarm_rl("train", "experiment=C", *QUICK, cwd=trained), 1, "already holds a finished run", "overwrite=true")
+    assert_refused(
+        uarm_rl("train", "experiment=C", *QUICK, cwd=trained), 1, "already holds a finished run", "results_dir=FOLDER"
+    )
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import shlex
 import subprocess
-import sys
 from itertools import product
 from pathlib import Path
 
@@ -65,7 +64,6 @@ def test_the_papers_runs_are_the_papers():
 def test_small_ones_go_through_to_the_report(tmp_path, monkeypatch, capsys):
     """In this process, so that Python and torch start once."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")  # the command line sets it: restored after the test
     Path("two.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.25,-0.1,0.03\n")
     variables = {
         "SEEDS": "0",
@@ -84,8 +82,7 @@ def test_small_ones_go_through_to_the_report(tmp_path, monkeypatch, capsys):
         if not {"policy=ik", "experiment=servo", "experiment=instant", "experiment=sigma", "buffer=adaptive,uniform"} & set(
             words
         ):
-            monkeypatch.setattr(sys, "argv", ["uarm-rl", *words])
-            cli.main()
+            cli.main(words)
     results = tmp_path / "results"
     made = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file() and "seed0" not in str(path)}
     assert {"table1.csv", "tolerance.csv", "heldout.csv", "holds.csv", "shaking.png", "comparisons.csv", "budgets.csv"} <= made

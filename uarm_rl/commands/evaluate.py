@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from uarm_rl import checks
+from uarm_rl import checks, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose, load_policy, read_run
 from uarm_rl.csvfile import write_rows
@@ -28,6 +28,7 @@ from uarm_rl.task import positions
 
 def run(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
+    workers.one_thread()
     results_dir = checks.path("results_dir", settings["results_dir"])
     changed = ["positions"] if settings["positions"] != "test" else []
     changed += [key for key in ("tolerance_m", "time_limit_s", "hold") if settings.get(key) is not None]

@@ -11,32 +11,38 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from uarm_rl import checks
+from uarm_rl import checks, workers
 from uarm_rl.configuration import Settings, build_env, load_policy, read_run
-from uarm_rl.evaluation.film import film, write_film
+from uarm_rl.evaluation.film import check_film, film, write_film
+from uarm_rl.sim.pybullet_arm import SimArm
 
 
 def run(settings: Settings) -> None:
     """Film a policy."""
-
-    run_dir = checks.path("run", settings["run"])
-    run_settings = read_run(run_dir)
-    policy = load_policy(run_dir, settings["policy"], run_settings)
-    out = checks.path("out", settings["out"]) if settings["out"] else run_dir / "episode.gif"
-    size = (checks.integer("width", settings["width"], low=64), checks.integer("height", settings["height"], low=64))
+    workers.one_thread()
+    width, height = (checks.integer(name, settings[name], low=64, high=4096) for name in ("width", "height"))
     episodes = checks.integer("episodes", settings["episodes"], low=1)
     first_seed = checks.integer("seed", settings["seed"], low=0)
     resets: list[dict[str, Any]] = [{"seed": first_seed + number} for number in range(episodes)]
     if settings["position"] is not None:
-        resets = [{"options": {"object_position": np.array(settings["position"], np.float64)}}]
-    time_limit_s = run_settings["time_limit_s"]
-    with_pictures = partial(build_env, run_settings, time_limit_s=time_limit_s, render_mode="rgb_array_list", picture_size=size)
-    env = with_pictures()
+        resets = [{"options": {"object_position": checks.position("position", settings["position"])}}]
+    run_dir = checks.path("run", settings["run"])
+    out = checks.path("out", settings["out"]) if settings["out"] else run_dir / "episode.gif"
+    check_film(out, width, height)
+    run_settings = read_run(run_dir)
+    policy = load_policy(run_dir, settings["policy"], run_settings)
+    control_hz = run_settings["control_hz"]
+    env = build_env(
+        run_settings,
+        time_limit_s=run_settings["time_limit_s"],
+        render_mode="rgb_array_list",
+        picture_size=(width, height),
+    )
     try:
-        pictures, successes = film(env, policy, resets)
+        assert isinstance(env.arm, SimArm)
+        pixel = partial(env.arm.pixel, width, height)
+        pictures, successes = film(env, policy, resets, control_hz=control_hz, pixel=pixel)
     finally:
         env.close()
-    write_film(out, pictures, frames_per_second=run_settings["control_hz"])
+    write_film(out, pictures, frames_per_second=control_hz)
     print(f"{out}: {len(pictures)} pictures, {successes} of {len(resets)} episodes successful")

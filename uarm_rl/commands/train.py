@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from contextlib import ExitStack, closing
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
@@ -39,6 +40,10 @@ def run(settings: Settings) -> None:
     torch.set_num_threads(1)  # two threads are slower at this size, and would change the last bits
     for name in ("resume", "overwrite", "simulate_beside", "tensorboard"):
         checks.boolean(name, settings[name])
+    if settings["resume"] and settings["overwrite"]:
+        raise UsageError("resume=true continues a run and overwrite=true deletes it; give one of them")
+    if settings["tensorboard"] and not find_spec("tensorboard"):
+        raise UsageError("tensorboard=true needs an extra; in the checkout: pip install -c constraints.txt -e '.[tensorboard]'")
     run_dir = _run_folder(settings)
     kept = {key: value for key, value in settings.items() if key not in _TRANSIENT}
     kept["sim"] = checks.mapping("sim", settings["sim"]) | {"gui": False}

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import difflib
 import re
-from importlib import resources
+from importlib.util import find_spec
 from typing import Final
 
 from uarm_rl.checks import UsageError
 from uarm_rl.commands import COMMANDS
+from uarm_rl.configuration import groups
 
 #: Hydra's own options are no settings; the command line decides which of them it takes. (``run`` is a setting here.)
 _HYDRAS: Final = (
@@ -32,7 +33,7 @@ def as_overrides(words: list[str]) -> list[str]:
         word = rest.pop(0)
         option = _OPTION.fullmatch(word)
         if option is None:
-            overrides.append(word)
+            overrides.append(_readable(word))
             continue
         values = [] if option[2] is None else [option[2]]
         while option[2] is None and rest and not _begins_something(rest[0]):
@@ -41,6 +42,13 @@ def as_overrides(words: list[str]) -> list[str]:
         text = ",".join(value if _PLAIN.fullmatch(value) else _quoted(value) for value in values)
         overrides.append(f"{name}=[{text}]" if len(values) > 1 else f"{name}={text if values else 'true'}")
     return overrides
+
+
+def _readable(word: str) -> str:
+    """``name=value`` with a value that only quotes make readable in them, as letters beyond ASCII need."""
+    name, equals, value = word.partition("=")
+    simple = re.fullmatch(r"[^'\"()\[\]{}\\,$#]+", value) and not _PLAIN.fullmatch(value)
+    return f"{name}={_quoted(value)}" if equals and simple and re.fullmatch(r"[a-z][\w.@/]*", name) else word
 
 
 def _begins_something(word: str) -> bool:
@@ -52,15 +60,11 @@ def _quoted(value: str) -> str:
     return f"'{escaped}'"
 
 
-def groups() -> list[str]:
-    """The configuration groups: the folders of ``conf/``."""
-    return [path.name for path in resources.files("uarm_rl.conf").iterdir() if path.is_dir()]
-
-
 #: What a user of this program needs of Hydra. Its other switches and settings (callbacks, search paths, logging)
 #: could run code that a configuration names.
 _FLAGS: Final = ("-m", "--multirun", "-h", "--help", "-c", "--cfg")
-_HYDRA_OVERRIDES: Final = ("hydra/launcher=basic", "hydra/launcher=joblib")
+_LAUNCHER_MODULES: Final = {"joblib": "hydra_plugins.hydra_joblib_launcher"}
+_HYDRA_OVERRIDES: Final = ("hydra/launcher=basic", *(f"hydra/launcher={name}" for name in _LAUNCHER_MODULES))
 
 
 def check(words: list[str]) -> None:
@@ -75,11 +79,19 @@ def check(words: list[str]) -> None:
             raise UsageError(f"{word} is no option of uarm-rl {command}; it takes name=value or --name value, -m and --help")
         if word.startswith(("+", "~")):
             raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
+        if word.startswith("hydra/launcher=") and word in _HYDRA_OVERRIDES and word.partition("=")[2] not in _launchers():
+            launcher = word.partition("=")[2]
+            raise UsageError(f"the launcher {launcher} is not installed; in the checkout: pip install -e '.[launch]'")
         if word.startswith("hydra") and word not in _HYDRA_OVERRIDES and not _is_job_count(word):
             raise UsageError(f"{word} is not for the command line; of Hydra's own settings only hydra/launcher=joblib is")
         name, _, value = word.partition("=")
         if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
             raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
+
+
+def _launchers() -> list[str]:
+    """The launchers of Hydra that are installed."""
+    return ["basic", *(name for name, module in _LAUNCHER_MODULES.items() if find_spec(module))]
 
 
 def _is_job_count(word: str) -> bool:

@@ -50,7 +50,7 @@ class DDPG:
         action_size: int,
         generator: torch.Generator,
     ) -> None:
-        hidden = [checks.integer("agent.hidden", width, low=1, high=10_000) for width in hidden]
+        hidden = checks.integers("agent.hidden", hidden, low=1, high=10_000)
         self.gamma = checks.number("agent.gamma", gamma, low=0.0, high=1.0)
         self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, open_low=True)

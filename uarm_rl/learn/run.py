@@ -61,10 +61,14 @@ def claim(
             for path in others:
                 files.remove(path)
         elif others and not resume:
-            state = "a finished" if is_finished(run_dir) else "an unfinished"
+            if is_finished(run_dir):
+                raise RunFolderError(
+                    f"{run_dir} already holds a finished run; results_dir=FOLDER or name=NAME puts another elsewhere, and with "
+                    "resume=true a multirun skips it"
+                )
             raise RunFolderError(
-                f"{run_dir} already holds {state} run; resume=true continues or keeps it, overwrite=true deletes it, "
-                "name=NAME or seed=N makes another"
+                f"{run_dir} already holds an unfinished run; resume=true continues it, overwrite=true deletes it, "
+                "results_dir=FOLDER or name=NAME puts another elsewhere"
             )
         elif (run_dir / CONFIG).exists():
             check_same(run_dir, settings, read_settings(run_dir))
@@ -92,9 +96,11 @@ def _locked(run_dir: Path) -> Iterator[None]:
 def check_same(run_dir: Path, settings: Settings, before: Settings) -> None:
     """Raises :class:`RunFolderError` if the run that is there was begun with other settings than these."""
     if changed := differences({key: before.get(key) for key in settings}, settings):
+        longer = any(line.startswith("episodes=") for line in changed)
+        reason = " (a longer run explores less quickly from its beginning on, so it is another run)" if longer else ""
         raise RunFolderError(
             f"{run_dir} was begun with {', '.join(changed)}; resume it as it was begun, or give this one another place with "
-            "name=NAME"
+            f"name=NAME{reason}"
         )
 
 
@@ -245,10 +251,8 @@ def _progress_bar(run_dir: Path, schedule: Schedule, counters: Counters) -> Iter
 
 @contextmanager
 def _tensorboard(run_dir: Path) -> Iterator[Callable[[dict[str, object]], None]]:
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        raise RunFolderError("tensorboard=true needs the extra: pip install 'uarm-rl[tensorboard]'") from None
+    from torch.utils.tensorboard import SummaryWriter
+
     if (run_dir / "tensorboard").is_symlink():
         raise RunFolderError(f"{run_dir / 'tensorboard'} is a link; remove it, or leave tensorboard=true out")
     with SummaryWriter(run_dir / "tensorboard") as writer:

@@ -36,7 +36,7 @@ COLUMNS: Final = (
     "warning",
 )
 
-_LARGEST: Final = {"batch_size": 100_000}
+_LARGEST: Final = {"batch_size": 10_000}
 
 
 @dataclass(frozen=True)

@@ -246,10 +246,9 @@ class SimArm:
         return np.array([state[4] for state in states])
 
     def render(self, width: int, height: int) -> NDArray[np.uint8]:
-        """An RGB picture, shape (height, width, 3), of cup and object from the side and above."""
+        """An RGB picture, shape (height, width, 3), of arm and object from the side and above."""
         client = {"physicsClientId": self._client}
-        view = bullet.computeViewMatrixFromYawPitchRoll((0.17, 0.0, 0.06), 0.6, 60, -35, 0, 2, **client)
-        projection = bullet.computeProjectionMatrixFOV(45, width / height, 0.05, 3.0, **client)
+        view, projection = self._camera(width, height)
         picture = bullet.getCameraImage(
             width,
             height,
@@ -262,6 +261,18 @@ class SimArm:
         )
         rgba = np.asarray(picture[2], np.uint8).reshape(height, width, 4)
         return np.ascontiguousarray(rgba[:, :, :3])
+
+    def pixel(self, width: int, height: int, point_m: Sequence[float]) -> tuple[float, float]:
+        """Column and row at which ``render`` shows a point."""
+        view, projection = (np.reshape(matrix, (4, 4)).T for matrix in self._camera(width, height))
+        x, y, _, w = projection @ view @ (*point_m, 1.0)
+        return (0.5 + 0.5 * x / w) * width, (0.5 - 0.5 * y / w) * height
+
+    def _camera(self, width: int, height: int) -> tuple[Sequence[float], Sequence[float]]:
+        """View and projection, each a matrix in OpenGL's order; the whole arm is in the picture wherever it is."""
+        client = {"physicsClientId": self._client}
+        view = bullet.computeViewMatrixFromYawPitchRoll((0.14, 0.0, 0.11), 0.75, 60, -30, 0, 2, **client)
+        return view, bullet.computeProjectionMatrixFOV(45, width / height, 0.05, 3.0, **client)
 
     def close(self) -> None:
         if self._client >= 0 and bullet.isConnected(self._client):
