@@ -172,6 +172,8 @@ class SimArm:
             bullet.changeDynamics(
                 self._arm, link, linearDamping=0, angularDamping=0, jointDamping=0, lateralFriction=self._friction, **client
             )
+        # The direct solver takes every stiffness from 150 to 100,000 N/m as rigid, but not to the last bit as without one.
+        bullet.changeDynamics(self._arm, _CUP, contactStiffness=1500.0, contactDamping=20.0, **client)
         # Base and turret stand above the table for good, so those pairs need no collision test.
         for link in (-1, 0):
             bullet.setCollisionFilterPair(self._arm, table, link, -1, 0, **client)
