@@ -103,4 +103,6 @@ def _range(low: float, high: float, open_low: bool) -> str:
 
 
 def _bound(value: float) -> str:
-    return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else f"{value:g}"
+    if isinstance(value, int):
+        return _shown(value)
+    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:g}"

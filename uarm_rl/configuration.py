@@ -103,7 +103,7 @@ def build(group: str, settings: Mapping[str, Any], **runtime: Any) -> Any:
     classes = OPEN_SETS[group]()
     arguments = checks.mapping(group, settings)
     name = arguments.pop("name", None)
-    if name not in classes:
+    if not isinstance(name, str) or name not in classes:
         raise ValueError(f"{group} has no {name!r}; choose one of {', '.join(classes)}")
     check_keys(f"{group}={name}", classes[name], arguments, given=runtime)
     return classes[name](**arguments, **runtime)
