@@ -1,6 +1,6 @@
 """Runs that survive anything, proved: kill trainings at random instants, fail every call of a save, flip every bit.
 
-    python -m tests.torture [--trials 300] [--out FILE]     (or: make torture)
+    python -m tests.torture [--only kills files hostile] [--trials 300] [--out FILE]     (or: make torture)
 
 Prints a table and exits with 1 if anything differed from what was promised. Every harness
 has a control: a deliberately broken variant that it must catch, or it proves nothing. Trainings are forked from one
@@ -32,8 +32,9 @@ from unittest import mock
 
 import numpy as np
 
-from tests import hostile, hostile_arm
+from tests import hostile_arm
 from tests.conftest import CARD
+from tests.hostile import play as hostile
 from uarm_rl import configuration, files
 from uarm_rl.commands import train as commands_train
 from uarm_rl.csvfile import write_rows
@@ -120,9 +121,13 @@ def kill_after(settings: dict, delay_s: float, signum: signal.Signals = signal.S
     os.waitpid(child, 0)
 
 
+#: Calls of the operating system that commit something.
+COMMITS = ("fsync", "rename", "replace", "mkdir", "unlink", "rmdir")
+
+
 @contextmanager
-def counted_calls(at: int, act: Callable[[], object]) -> Iterator[list[int]]:
-    """Call ``act`` before the ``at``-th call of the operating system that commits something; yields the count."""
+def counted_calls(at: int, act: Callable[[], object], names: tuple[str, ...] = COMMITS) -> Iterator[list[int]]:
+    """Call ``act`` before the ``at``-th of these calls; yields the count."""
     count = [0]
 
     def wrap(real: Callable) -> Callable:
@@ -134,7 +139,6 @@ def counted_calls(at: int, act: Callable[[], object]) -> Iterator[list[int]]:
 
         return call
 
-    names = ("fsync", "rename", "replace", "mkdir", "unlink", "rmdir")
     patches = [mock.patch.object(os, name, wrap(getattr(os, name))) for name in names]
     for patch in patches:
         patch.start()
@@ -309,7 +313,7 @@ def damaged_policy(folder: Path) -> tuple[int, int]:
 
 
 def failing_saves(folder: Path) -> tuple[int, int]:
-    """Let each committing call of a save fail in each way; (trials, saves that lied or lost the last good one)."""
+    """Let each opening and committing call of a save fail in each way; (trials, saves that lied or lost the last good one)."""
     trials = wrong = 0
     for error in (errno.ENOSPC, errno.EIO, errno.EACCES, errno.EROFS):
         for at in itertools.count(1):
@@ -320,7 +324,7 @@ def failing_saves(folder: Path) -> tuple[int, int]:
             def fail(error=error) -> None:
                 raise OSError(error, os.strerror(error), "the disk")
 
-            with counted_calls(at, fail) as count:
+            with counted_calls(at, fail, (*COMMITS, "open")) as count:
                 try:
                     checkpoint.write(run, Checkpoint(2, {"agent/parameters": np.zeros(3, np.float32)}, {}))
                     claimed = True
@@ -382,7 +386,7 @@ def surroundings(folder: Path, most: int, expected: str) -> tuple[int, int]:
     return len(changes), different
 
 
-def table(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
+def killed_runs(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
     generator = np.random.default_rng(seed)
     expected, duration_s = uninterrupted(folder / "uninterrupted")
     for title, count, kill, control in (
@@ -398,6 +402,9 @@ def table(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
             words = f"NOT CAUGHT: {words}"
         yield Row(f"{title} ({killed} kills)", count, different, bound(count, different), words)
     yield Row("runs in other surroundings", *surroundings(folder / "surroundings", trials // 3, expected["C"]), "", "")
+
+
+def files_and_disks(folder: Path) -> Iterator[Row]:
     (folder / "saves").mkdir()
     yield Row("saves with one call that fails", *failing_saves(folder / "saves"), "exhaustive", "")
     (folder / "full").mkdir()
@@ -416,7 +423,9 @@ def table(trials: int, controls: int, seed: int, folder: Path) -> Iterator[Row]:
 
 def hostile_input() -> Iterator[Row]:
     """Files, configurations, joint commands and answers of an arm that mean harm."""
-    yield from hostile.table()
+    for row, cases, failed, control in hostile.rows():
+        print(*failed, sep="\n", end="\n" * bool(failed))
+        yield Row(row, cases, len(failed), "a list", control)
     tried, unsafe = hostile_arm.references(1_000_000)
     with hostile_arm.blind(), hostile_arm.silence():
         seen = hostile_arm.references(1000)[1]
@@ -430,15 +439,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=300, help="runs that are killed, a third of them inside a save")
     parser.add_argument("--controls", type=int, default=16, help="runs of each broken variant")
-    parser.add_argument("--no-hostile", dest="hostile", action="store_false", help="without the hostile input")
+    parts = ("kills", "files", "hostile")
+    parser.add_argument("--only", nargs="+", choices=parts, default=parts, help="parts of the table")
     parser.add_argument("--seed", type=int, default=0, help="of the instants")
     parser.add_argument("--out", type=Path, help="CSV file for the table")
     arguments = parser.parse_args()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        lines = table(arguments.trials, arguments.controls, arguments.seed, Path(folder))
-        for row in itertools.chain(lines, hostile_input() if arguments.hostile else ()):
+        lines = {
+            "kills": killed_runs(arguments.trials, arguments.controls, arguments.seed, Path(folder)),
+            "files": files_and_disks(Path(folder)),
+            "hostile": hostile_input(),
+        }
+        for row in itertools.chain.from_iterable(lines[part] for part in arguments.only):
             rows.append(row)
             print(f"{row.what:58} {row.trials:6} trials  {row.failures:3} failures  {row.bound:12} {row.control}", flush=True)
     if arguments.out:

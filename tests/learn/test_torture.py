@@ -1,4 +1,4 @@
-"""The small form of ``make torture``: a few kills, every failing call of a save, every bit of the files."""
+"""The small form of ``make torture``: a few kills. What it does to files is tested with the checkpoints and policies."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ import sys
 from pathlib import Path
 
 
-def test_the_small_torture_finds_nothing(tmp_path):
-    options = ["--trials", "6", "--controls", "0", "--no-hostile", "--out", str(tmp_path / "table.csv")]
+def test_runs_that_are_killed_end_as_if_they_were_not(tmp_path):
+    options = ["--only", "kills", "--trials", "6", "--controls", "0", "--out", str(tmp_path / "table.csv")]
     command = [sys.executable, "-m", "tests.torture", *options]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     with open(tmp_path / "table.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["failures"]) for row in rows] == [0] * 8
-    assert [int(row["trials"]) for row in rows][:4] == [4, 2, 2, 2]
-    assert all(int(row["trials"]) > 40 for row in rows[4:])
+        assert [(row["trials"], row["failures"]) for row in csv.DictReader(file)] == [(trials, "0") for trials in "4222"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from dataclasses import asdict
@@ -14,6 +13,7 @@ import pytest
 from safetensors.numpy import save
 
 from tests.conftest import CARD
+from tests.hostile.tensors import BROKEN
 from uarm_rl.task import kinematics, observation
 from uarm_rl.task.policy import ActorPolicy, InverseKinematicsPolicy, PolicyFileError, encode
 
@@ -67,35 +67,30 @@ def test_every_truncation_is_refused(tmp_path):
             ActorPolicy.load(path)
 
 
-def test_every_flipped_bit_is_refused(tmp_path):
+def test_a_flipped_bit_in_any_byte_is_refused(tmp_path):
+    """In every bit: ``tests.torture``."""
     path = tmp_path / "policy.safetensors"
     ActorPolicy(policy(widths=(2, 3)).layers, offset=observation.OFFSET, scale=observation.SCALE, card=CARD).save(path)
     data = bytearray(path.read_bytes())
-    for bit in range(8 * len(data)):
-        data[bit // 8] ^= 1 << bit % 8
+    for place in range(len(data)):
+        data[place] ^= 1 << place % 8
         path.write_bytes(data)
         with pytest.raises(PolicyFileError):
             ActorPolicy.load(path)
-        data[bit // 8] ^= 1 << bit % 8
+        data[place] ^= 1 << place % 8
 
 
-def test_foreign_files_are_refused(tmp_path):
+@pytest.mark.parametrize("content", [*BROKEN.values(), save({}), save(TENSORS), save(TENSORS, {"uarm-rl policy 1": "[]"})])
+def test_foreign_files_are_refused(tmp_path, content):
     path = tmp_path / "policy.safetensors"
-    good = {"offset": observation.OFFSET, "scale": observation.SCALE}
-    damaged = [
-        b"",
-        b"PK\x03\x04",
-        b"\x80\x04K\x01.",
-        os.urandom(200),
-        save({}),
-        save(good),
-        save(good, {"uarm-rl policy 1": "[]"}),
-    ]
-    for content in damaged:
-        path.write_bytes(content)
-        with pytest.raises(PolicyFileError, match="damaged or no policy"):
-            ActorPolicy.load(path)
-    path.write_bytes(save(good, {"uarm-rl policy 99": "{}"}))
+    path.write_bytes(content)
+    with pytest.raises(PolicyFileError, match=r"damaged or no policy|is no policy of uarm-rl: its format is"):
+        ActorPolicy.load(path)
+
+
+def test_a_format_of_the_future_is_named(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(save(TENSORS, {"uarm-rl policy 99": "{}"}))
     with pytest.raises(PolicyFileError, match="its format is uarm-rl policy 99"):
         ActorPolicy.load(path)
 
@@ -107,7 +102,21 @@ def test_foreign_files_are_refused(tmp_path):
         ({"weight0": np.full((20, 3), np.nan, np.float32)}, "not finite"),
         ({"scale": np.zeros(20, np.float32)}, "not finite"),
         ({"weight0": np.ones((20, 3)), "bias0": np.ones(3)}, "not finite float32"),
+        ({"bias0": np.array([0, np.inf, 0], np.float32)}, "not finite"),
+        ({"offset": np.full(20, np.nan, np.float32)}, "not finite"),
+        ({"weight0": np.ones((20, 3), np.float16)}, "not finite float32"),
+        ({"weight0": np.ones((20, 3), np.int8)}, "not finite float32"),
+        ({"weight0": np.ones((20, 3), bool)}, "not finite float32"),
         ({"weight1": np.ones((3, 3), np.float32)}, "another arm"),
+        ({"offset": np.zeros(21, np.float32)}, "another arm"),
+        ({"scale": np.ones((), np.float32)}, "another arm"),
+        ({"weight0": np.ones((3, 20), np.float32)}, "another arm"),
+        ({"weight0": np.ones((1, 20, 3), np.float32)}, "another arm"),
+        ({"weight0": np.ones((), np.float32)}, "another arm"),
+        ({"bias0": np.zeros((1, 3), np.float32)}, "another arm"),
+        ({"bias0": np.zeros(1, np.float32)}, "another arm"),
+        ({"weight0": np.ones((20, 4), np.float32), "bias0": np.zeros(4, np.float32)}, "another arm"),
+        ({"weight0": np.ones((20, 0), np.float32), "bias0": np.zeros(0, np.float32)}, "another arm"),
     ],
 )
 def test_policies_that_cannot_run_are_refused(tmp_path, change, sentence):
