@@ -67,7 +67,7 @@ def uarm_rl(
 ) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process of its own, as a user would, in the folder ``cwd``."""
     return subprocess.run(
-        [sys.executable, "-m", "uarm_rl.cli", *words],
+        [sys.executable, "-m", "uarm_rl", *words],
         cwd=cwd,
         env=os.environ | (environment or {}),
         capture_output=True,

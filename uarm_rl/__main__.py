@@ -2,4 +2,5 @@
 
 from uarm_rl.cli import main
 
-main()
+if __name__ == "__main__":
+    main()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,17 @@ def text(name: str, value: object) -> str:
 def path(name: str, value: object) -> Path:
     """``value`` as a path if it is a text that is not empty; :class:`ValueError` with a sentence otherwise."""
     return Path(text(name, value))
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The known word that is nearest to one that does not exist, as the end of a sentence; empty if none is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def how_to_add(extra: str) -> str:
+    """What brings an optional part of the installation, as the end of a sentence."""
+    return f"in the checkout: pip install -c constraints.txt -e '.[{extra}]'"
 
 
 def _shown(value: object) -> str:

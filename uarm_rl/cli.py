@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from uarm_rl.checks import UsageError
 from uarm_rl.commands.errors import explain, printable
 from uarm_rl.commands.help import config_name, help_text, overview
-from uarm_rl.commands.words import as_overrides, check
-from uarm_rl.configuration import Settings, compose, plain
+from uarm_rl.commands.words import as_overrides, check, given_twice
+from uarm_rl.configuration import Settings, compose, flat, our_hydra, plain
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+#: The sentence and the exit code of what failed.
+Failure = tuple[str, int]
+
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Run the command that ``words`` (default: ``sys.argv``) name.
+    """Run the command that ``words`` name, those behind the program's name if left out.
 
     Exit codes: 0 done, 1 it failed, 2 the command line is wrong, 130 interrupted.
     """
@@ -63,131 +65,142 @@ def _fail(sentence: str, code: int) -> NoReturn:
 
 
 def _dispatch(words: list[str]) -> None:
+    if _completes(words):
+        return
     if not words or words[0] in ("-h", "--help"):
         print(overview())
     elif words[0] == "--version":
         from uarm_rl import __version__
 
         print(f"uarm-rl {__version__}")
-    elif words[0] in ("-sc", "--shell-completion"):
-        _complete(words[1:])
     else:
         words = [words[0], *as_overrides(words[1:])]
         check(words)
+        for sentence in given_twice(words):
+            print(f"note: {sentence}", file=sys.stderr)
         _run(words[0], words[1:])
 
 
-def _complete(words: list[str]) -> None:
-    """Answer the shell. Hydra knows how to ask it; what there is to offer, this program knows better."""
-    if len(words) != 1 or not re.fullmatch(r"(install|uninstall|query)=(bash|fish|zsh)", words[0]):
-        raise UsageError("-sc takes install=SHELL or uninstall=SHELL, where SHELL is bash, fish or zsh")
-    if words[0].startswith("query="):
-        from uarm_rl.commands.completion import candidates
-
-        print("\n".join(candidates(os.environ.get("COMP_LINE", ""))))
-    else:
-        import hydra
-
-        hydra.main(config_path="pkg://uarm_rl.conf", config_name="train", version_base="1.3")(lambda cfg: None)()
-
-
 def _run(command: str, words: list[str]) -> None:
-    overrides = [word for word in words if not word.startswith("-")]
     if {"-h", "--help"} & set(words):
         print(help_text(command))
     elif {"-c", "--cfg"} & set(words):
         import yaml
 
-        settings = compose(command, [word for word in overrides if word != "job"], incomplete=True)
-        print(yaml.safe_dump(settings, sort_keys=False), end="")
+        overrides = tuple(word for word in words if not word.startswith("-") and word != "job")
+        print(yaml.safe_dump(compose(command, overrides, incomplete=True), sort_keys=False, allow_unicode=True), end="")
     elif {"-m", "--multirun"} & set(words):
-        _run_many(command, overrides)
+        _run_many(command, [word for word in words if not word.startswith("-")])
     else:
-        _task(command)(compose(command, overrides))
+        _module(command).run(compose(command, tuple(words)))
 
 
-def _task(command: str) -> Callable[[Settings], None]:
-    run: Callable[[Settings], None] = import_module(f"uarm_rl.commands.{config_name(command)}").run
-    return run
+def _module(command: str) -> Any:
+    """A command's module: ``run(settings)`` carries it out."""
+    return import_module(f"uarm_rl.commands.{config_name(command)}")
 
 
-class _Failure(NamedTuple):
-    sentence: str
-    code: int
+# Many at once
 
 
 def _run_many(command: str, overrides: list[str]) -> None:
-    """Every combination of the overrides' values, one after the other or through another launcher of Hydra's.
+    """Every combination of the overrides' values, one after the other or through ``hydra/launcher=joblib``.
 
-    A job that fails is named at once and does not keep the others from running; the first failure decides the exit code.
+    A job that fails is named at once and does not keep the others from running; what it failed with is its return value.
     """
-    last = dict(word.partition("=")[::2] for word in overrides)
-    for word in overrides:
-        name, _, value = word.partition("=")
-        if last[name] != value:
-            print(f"note: {name} is given twice, and {name}={last[name]} counts; {name}=A,B is a run of each", file=sys.stderr)
-    local = [word for word in overrides if not word.startswith("hydra")]
-    if command == "train":
-        _refuse_collisions(_jobs(command, _place, local), overrides)
-    failures = [failure for failure in _jobs(command, partial(_job, command), overrides) if failure]
-    if failures:
-        raise SystemExit(failures[0].code)
+    from hydra.types import RunMode
+
+    with our_hydra() as hydra:
+        swept, jobs = _jobs(hydra, overrides)
+        labels = [_label(job, swept) for job in jobs]
+        _check_outputs(command, labels, [compose(command, job) for job in jobs])
+        sweep = hydra.compose_config(config_name(command), overrides, RunMode.MULTIRUN, with_log_configuration=False)
+        for path in (Path(sweep.hydra.sweep.dir), Path(sweep.hydra.sweep.dir) / "multirun.yaml"):
+            if path.is_symlink():
+                raise UsageError(f"{path} is a link, and Hydra would write through it; remove it")
+        batches = hydra.multirun(config_name(command), partial(_job, command, swept), overrides)
+    failures: list[Failure | None] = [job.return_value for batch in batches for job in batch]
+    failed = [(label, failure[1]) for label, failure in zip(labels, failures, strict=True) if failure is not None]
+    if failed:
+        _fail(f"{len(failed)} of {len(jobs)} jobs failed: {'; '.join(label for label, _ in failed)}", failed[0][1])
 
 
-def _jobs(command: str, task: Callable[[DictConfig], Any], overrides: list[str]) -> list[Any]:
-    """What ``task`` returns for each job. It must not raise: Hydra would print a sentence of its own."""
-    import hydra
-    from hydra.core.global_hydra import GlobalHydra
+def _jobs(hydra: Any, overrides: list[str]) -> tuple[frozenset[str], list[tuple[str, ...]]]:
+    """The keys that are given several values, and the overrides of every job."""
+    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+    from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    results_dir = next((word.partition("=")[2] for word in reversed(overrides) if word.startswith("results_dir=")), "results")
-    for path in (Path(results_dir) / ".hydra", Path(results_dir) / ".hydra" / "multirun.yaml"):
-        if path.is_symlink():
-            raise UsageError(f"{path} is a link, and Hydra would write through it; remove it")
-    with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
-        engine = GlobalHydra.instance().hydra
-        assert engine is not None
-        batches = engine.multirun(config_name(command), task, overrides, with_log_configuration=False)
-        return [job.return_value for batch in batches for job in batch]
+    parsed = OverridesParser.create(config_loader=hydra.config_loader).parse_overrides(overrides)
+    ours = [override for override in parsed if not override.is_hydra_override()]
+    (jobs,) = BasicSweeper.split_arguments(ours, max_batch_size=None)
+    swept = frozenset(override.get_key_element() for override in ours if override.is_sweep_override())
+    return swept, [tuple(job) for job in jobs]
 
 
-def _job(command: str, cfg: DictConfig) -> _Failure | None:
+def _label(job: Iterable[str], swept: frozenset[str]) -> str:
+    """What tells a job from the others."""
+    return " ".join(word for word in job if word.partition("=")[0] in swept) or "the only one"
+
+
+def _check_outputs(command: str, labels: list[str], jobs: list[Settings]) -> None:
+    """Raises :class:`UsageError` if two jobs would write to one place, naming them and a way to tell them apart."""
+    output = getattr(_module(command), "output", lambda settings: None)
+    places: dict[Path | None, list[int]] = {}
+    for number, settings in enumerate(jobs):
+        places.setdefault(output(settings), []).append(number)
+    for place, numbers in places.items():
+        if place is not None and len(numbers) > 1:
+            raise UsageError(
+                f"{len(numbers)} jobs would write to {place}: {'; '.join(labels[number] for number in numbers)}; "
+                f"{_apart(place, [flat(jobs[number]) for number in numbers])}"
+            )
+
+
+def _apart(place: Path, jobs: list[Settings]) -> str:
+    """What gives each of these jobs, whose settings are flat, a place of its own."""
+    different = [key for key, value in jobs[0].items() if any(job.get(key) != value for job in jobs)]
+    groups = [key.removesuffix("name") for key in different if key.endswith(".name")]  # whose name says all of the group
+    different = [key for key in different if not any(key.startswith(group) and key != f"{group}name" for group in groups)]
+    if not different:
+        return "they are the same; leave all but one of them out"
+    usual = ["buffer.name", "reward.name"] if "name" in jobs[0] else []
+    values = "-".join(
+        f"${{{key}}}" if key.endswith(".name") else f"{key.rpartition('.')[2]}${{{key}}}"
+        for key in dict.fromkeys(usual + different)
+    )
+    return f"tell their places apart, for example with '{f'name={values}' if usual else f'out={values}{place.suffix}'}'"
+
+
+def _job(command: str, swept: frozenset[str], cfg: DictConfig) -> Failure | None:
+    """One job of many. Also called in processes that a launcher starts."""
     from hydra.core.hydra_config import HydraConfig
 
     try:
-        _task(command)(plain(cfg))
-    except SystemExit as stop:
-        return _Failure("stopped", stop.code if isinstance(stop.code, int) else 1)
+        _module(command).run(plain(cfg))
     except Exception as error:
-        failure = _Failure(*explain(error))
-        job = " ".join(HydraConfig.get().overrides.task)
-        print(f"failed: {job}: {printable(failure.sentence)}", file=sys.stderr, flush=True)
-        return failure
+        if os.environ.get("UARM_RL_TRACEBACK"):
+            raise
+        sentence, code = explain(error)
+        print(f"failed: {_label(HydraConfig.get().overrides.task, swept)}: {printable(sentence)}", file=sys.stderr, flush=True)
+        return sentence, code
     return None
 
 
-def _place(cfg: DictConfig) -> tuple[str, str] | None:
-    """A job and the folder that it would train in; ``None`` for one that will fail and say why."""
-    from hydra.core.hydra_config import HydraConfig
+def _completes(words: list[str]) -> bool:
+    """Answer the shell's queries: what completes a line, and the lines of shell that make it ask."""
+    if not words or words[0] not in ("-sc", "--shell-completion"):
+        return False
+    match = re.fullmatch(r"(install|uninstall|query)=(bash|fish|zsh)", " ".join(words[1:]))
+    if match is None:
+        raise UsageError("-sc takes install=SHELL or uninstall=SHELL, where SHELL is bash, fish or zsh")
+    if match[1] == "query":
+        from uarm_rl.commands.completion import candidates
 
-    try:
-        settings = plain(cfg)
-        return " ".join(HydraConfig.get().overrides.task), "{results_dir}/{name}/seed{seed}".format(**settings)
-    except Exception:
-        return None
-
-
-def _refuse_collisions(places: list[tuple[str, str] | None], overrides: list[str]) -> None:
-    """Raises :class:`UsageError` if two jobs would train in one folder."""
-    taken: dict[str, str] = {}
-    for job, folder in filter(None, places):
-        if other := taken.get(folder):
-            swept = [name for name, _, value in (word.partition("=") for word in overrides) if "," in value and "." in name]
-            example = "name=${buffer.name}-${reward.name}" + "".join(f"-{name.split('.')[-1]}${{{name}}}" for name in swept)
-            raise UsageError(
-                f"the jobs {other!r} and {job!r} would both train in {folder}; put what tells them apart into the name: "
-                f"{shlex.quote(example)}"
-            )
-        taken[folder] = job
+        print("\n".join(candidates(os.environ.get("COMP_LINE", ""))))
+    else:
+        plugins = import_module(f"hydra._internal.core_plugins.{match[2]}_completion")
+        getattr(getattr(plugins, f"{match[2].capitalize()}Completion")(None), match[1])()
+    return True
 
 
 if __name__ == "__main__":

@@ -6,18 +6,18 @@ open sets, never by a dotted path in a file: the configuration in a downloaded r
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import nullcontext
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uarm_rl import checks, files
-from uarm_rl.checks import UsageError
+from uarm_rl.checks import UsageError, did_you_mean
 from uarm_rl.files import CONFIG, POLICY
 
 if TYPE_CHECKING:
@@ -117,9 +117,8 @@ def check_keys(where: str, make: Callable[..., Any], settings: Mapping[str, Any]
     parameters = {name: one for name, one in inspect.signature(make).parameters.items() if name not in given}
     for key in settings:
         if key not in parameters:
-            near = difflib.get_close_matches(key, parameters, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(parameters) or 'no keys'}"
-            raise ValueError(f"{where} has no key {key!r}; {hint}")
+            hint = did_you_mean(key, parameters) or f"; it has {', '.join(parameters) or 'no keys'}"
+            raise ValueError(f"{where} has no key {key!r}{hint}")
     for name, parameter in parameters.items():
         if parameter.default is parameter.empty and name not in settings:
             raise ValueError(f"{where} lacks the key {name}")
@@ -166,37 +165,92 @@ def make_env(overrides: tuple[str, ...] = (), render_mode: str | None = None) ->
     return build_env(settings, time_limit_s=settings["time_limit_s"], render_mode=render_mode)
 
 
-def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = False) -> Settings:
-    """The configuration of a command as a plain dict, with ``overrides`` as on the command line.
-
-    Raises :class:`UsageError` for a value that is missing, unless ``incomplete``: then it is ``???``.
-    """
-    import hydra
-
-    with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
-        return plain(hydra.compose(command.replace("-", "_"), list(overrides)), incomplete=incomplete)
-
-
 def groups() -> list[str]:
     """The configuration groups: the folders of ``conf/``."""
     return [path.name for path in resources.files("uarm_rl.conf").iterdir() if path.is_dir() and path.name != "__pycache__"]
 
 
-def keys(settings: Settings, prefix: str = "") -> list[str]:
-    """All settings by their dotted names, but those that a group's choice decides."""
-    found: list[str] = []
-    for key, value in settings.items():
-        if isinstance(value, dict):
-            found += keys(value, f"{prefix}{key}.")
-        elif key != "name" or not prefix:
-            found.append(f"{prefix}{key}")
-    return found
+@contextmanager
+def our_hydra() -> Iterator[Any]:
+    """Hydra over ``conf/``. Another that is running, for a multirun or a program around this one, is set aside meanwhile."""
+    import hydra
+    from hydra.core.global_hydra import GlobalHydra
+
+    running, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
+    try:
+        with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
+            yield GlobalHydra.instance().hydra
+    finally:
+        GlobalHydra.instance().hydra = running
+
+
+def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = False) -> Settings:
+    """The configuration of a command as a plain dict, with ``overrides`` as on the command line.
+
+    Raises :class:`UsageError` for an override that cannot be read or names nothing, and for a value that is missing, unless
+    ``incomplete``: then it is ``"???"``.
+    """
+    import hydra
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    for override in overrides:
+        key, _, value = override.partition("=")
+        there = choices(key.partition("@")[0])
+        if there and value not in there and not re.search(r"[\[(,]", value):
+            raise UsageError(f"there is no {override}{did_you_mean(value, there) or ';'} {key} is one of {', '.join(there)}")
+    try:
+        with our_hydra():
+            return plain(hydra.compose(command.replace("-", "_"), list(overrides)), incomplete=incomplete)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise UsageError(_sentence(" ".join(str(error).split()), command)) from error
+
+
+def groups_of(command: str) -> dict[str, list[str]]:
+    """The groups of a command as an override names them, such as ``buffer`` and ``hold@buffer.hold``, with their choices."""
+    import hydra
+
+    with our_hydra():
+        chosen = hydra.compose(command.replace("-", "_"), return_hydra_config=True).hydra.runtime.choices
+    return {key: choices(key.partition("@")[0]) for key in map(str, chosen) if not key.startswith("hydra/")}
+
+
+def _sentence(text: str, command: str) -> str:
+    """Hydra's own sentence in words that a user of this program knows."""
+    text = text.split(" See https")[0].split(" Config search path")[0].split(" full_key: ")[0]
+    if match := re.search(r"Could not override '([^']+)'\. Did you mean to override ([^?]+)\?", text):
+        return f"{command} has no group {match[1]!r}; did you mean {match[2]}?"
+    if match := re.search(r"Could not override '([^']+)'", text):
+        return f"{command} has no setting {match[1]!r}{_near(match[1], command) or ';'} --help and --cfg job list what there is"
+    if match := re.search(r"Interpolation key '([^']+)' not found", text):
+        return f"{command} has no setting {match[1]!r} to put in the place of ${{{match[1]}}}{_near(match[1], command)}"
+    if match := re.search(r"Ambiguous value for argument '([^=]+)=([^']*)'", text):
+        return f"{match[1]}={match[2]} are several values: with -m there is a run of each; a list is {match[1]}=[{match[2]}]"
+    if match := re.search(r"Sweep parameters '(.*)' requires", text):
+        return f"{match[1]} are several values: with -m there is a run of each"
+    if match := re.search(
+        r"LexerNoViableAltException: (.*) \^|(?:Error parsing override|alternative at input) '(.*?)'(?: |$)", text
+    ):
+        return f"{match[1] or match[2]} cannot be read; write name=value, a list as [1,2,3], and put odd signs in quotes"
+    return f"{text}; --help lists what there is"
+
+
+def _near(name: str, command: str) -> str:
+    """What may have been meant by the name of a setting that does not exist, as the end of a sentence."""
+    group, _, key = name.rpartition(".")
+    folder = resources.files("uarm_rl.conf") / group
+    having = [choice for choice in choices(group) if f"\n{key}:" in (folder / f"{choice}.yaml").read_text(encoding="utf-8")]
+    if having:
+        return f"; it belongs to {' and '.join(f'{group}={choice}' for choice in having)}."
+    known = [*groups_of(command), *flat(compose(command, incomplete=True))]
+    same = [other for other in known if other.rpartition(".")[2] == name]
+    return f"; did you mean {same[0]}?" if same else did_you_mean(name, known)
 
 
 def choices(group: str) -> list[str]:
     """The names that a configuration group can be given; empty if there is no such group."""
     folder = resources.files("uarm_rl.conf") / group
-    files_there = folder.iterdir() if folder.is_dir() else ()
+    files_there = folder.iterdir() if group and folder.is_dir() else ()
     return sorted(path.name.removesuffix(".yaml") for path in files_there if path.name.endswith(".yaml"))
 
 
@@ -209,6 +263,18 @@ def plain(cfg: DictConfig, *, incomplete: bool = False) -> Settings:
     settings = OmegaConf.to_container(cfg, resolve=True)
     assert isinstance(settings, dict)
     return {str(key): value for key, value in settings.items()}
+
+
+def flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by their dotted names, as in ``{"agent.gamma": 0.9, "agent.hidden.0": 400}``."""
+    values: dict[str, Any] = {}
+    for key, value in settings.items():
+        inner = dict(enumerate(value)) if isinstance(value, list) else value
+        if isinstance(inner, Mapping) and inner:
+            values |= {f"{key}.{name}": leaf for name, leaf in flat({str(name): leaf for name, leaf in inner.items()}).items()}
+        else:
+            values[key] = value
+    return values
 
 
 # What was trained

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import re
 import shutil
 from pathlib import Path
 
@@ -173,7 +172,7 @@ def test_help_explains(tmp_path):
 
 def test_help_and_report_load_neither_torch_nor_pybullet(trained):
     code = (
-        "import sys; from uarm_rl import cli; sys.argv = ['uarm-rl', *sys.argv[1:]]; cli.main(); "
+        "import sys; from uarm_rl import cli; cli.main(); "
         "print({'torch', 'pybullet', 'hydra'} & set(sys.modules) - ({'hydra'} if 'report' in sys.argv else set()))"
     )
     import subprocess
@@ -188,20 +187,7 @@ def test_the_whole_configuration_can_be_seen(tmp_path):
     text = uarm_rl("train", "--cfg", "job", "agent.gamma=0.5", cwd=tmp_path).stdout
     assert "gamma: 0.5" in text
     assert "name: adaptive-penalty" in text
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("uarm-rl tr", {"train"}),
-        ("uarm-rl train buffer=ad", {"buffer=adaptive"}),
-        ("uarm-rl train experiment=un", {"experiment=unstuck_only"}),
-        ("uarm-rl evaluate hold=un", {"hold=until_steady"}),
-    ],
-)
-def test_the_shell_completes(tmp_path, line, expected):
-    done = uarm_rl("-sc", "query=bash", cwd=tmp_path, environment={"COMP_LINE": line})
-    assert set(done.stdout.split()) == expected, done.stderr
+    assert "run: ???" in uarm_rl("render", "--cfg", "job", cwd=tmp_path).stdout  # what is missing is seen as missing
 
 
 @pytest.mark.parametrize(
@@ -209,14 +195,24 @@ def test_the_shell_completes(tmp_path, line, expected):
     [
         (["trian"], 2, ["there is no command 'trian'", "did you mean train?"]),
         (["xyz"], 2, ["choose one of train, evaluate"]),
-        (["train", "agent.gama=0.5"], 2, ["no setting 'agent.gama'"]),
-        (["train", "bufer=adaptive"], 2, ["no setting 'bufer'"]),
-        (["train", "buffer=adaptve"], 2, ["no 'buffer/adaptve'", "uniform"]),
+        (["train", "agent.gama=0.5"], 2, ["no setting 'agent.gama'", "did you mean agent.gamma?"]),
+        (["train", "gamma=0.5"], 2, ["no setting 'gamma'", "did you mean agent.gamma?"]),
+        (["train", "servo.feed=20"], 2, ["no setting 'servo.feed'; it belongs to servo=stepper"]),
+        (["train", "bufer=adaptive"], 2, ["no setting 'bufer'", "did you mean buffer?"]),
+        (["train", "buffer=adaptve"], 2, ["no buffer=adaptve", "did you mean adaptive?", "uniform"]),
+        (["train", "buffer="], 2, ["no buffer=;", "uniform"]),
+        (["train", "hold=fixed"], 2, ["train has no group 'hold'", "did you mean hold@buffer.hold?"]),
+        (["train", "name=${buffer.nme}"], 2, ["${buffer.nme}", "did you mean buffer.name?"]),
+        (["train", "seed=0,1"], 2, ["seed=0,1 is several values: with -m they run one after the other"]),
+        (["train", "seed=range(3)"], 2, ["seed=range(3) is several values: with -m"]),
         (["train", "agent.gamma=2"], 2, ["agent.gamma must be a number from 0 to 1, got 2"]),
         (["train", "episodes=0"], 2, ["episodes must be a whole number of at least 1, got 0"]),
         (["train", "seed=abc"], 2, ["seed must be a whole number"]),
         (["train", "tolerance_m=-1"], 2, ["tolerance_m must be a number above 0"]),
-        (["train", "a b"], 2, ["cannot be read", "name=value"]),
+        (["train", "a b"], 2, ["'a b' is no setting", "name=value"]),
+        (["train", "seed"], 2, ["'seed' is no setting"]),
+        (["train", "job"], 2, ["'job' is no setting"]),
+        (["train", "name='a"], 2, ["name='a cannot be read"]),
         (["train", "+x=1"], 2, ["adds or removes a setting"]),
         (["train", "--config-dir=."], 2, ["is no option"]),
         (["train", "hydra.run.dir=/tmp"], 2, ["is not for the command line"]),
@@ -276,10 +272,8 @@ def test_a_finished_run_is_refused_and_kept(trained):
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 
-def test_a_failing_job_does_not_stop_the_others(tmp_path):
-    done = uarm_rl("train", "-m", "experiment=C", "agent.gamma=2,0.9", "name=gamma-${agent.gamma}", *QUICK, cwd=tmp_path)
-    assert done.returncode == 2
-    sentence = "agent.gamma must be a number from 0 to 1, got 2"
-    assert re.search(f"^failed: experiment=C agent.gamma=2 .*: {sentence}$", done.stderr, re.MULTILINE)
-    assert (tmp_path / "results" / "gamma-0.9" / "seed0" / "policy.safetensors").exists()
-    assert "Traceback" not in done.stderr
+def test_signs_that_hydra_cannot_read_are_quoted_for_it(tmp_path):
+    done = uarm_rl("train", "--cfg", "job", "name=Ü#-${buffer.name}", cwd=tmp_path)
+    assert "name: Ü#-adaptive\n" in done.stdout, done.stderr
+    done = uarm_rl("report", "results_dir=größen & maße", cwd=tmp_path)
+    assert_refused(done, 1, "größen & maße")

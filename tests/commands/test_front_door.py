@@ -10,7 +10,6 @@ import pytest
 
 from tests.commands.test_cli import assert_refused
 from tests.conftest import FAST, uarm_rl
-from uarm_rl.commands.completion import candidates
 
 QUICK = (*FAST, "episodes=1", "simulate_beside=false")
 
@@ -90,29 +89,6 @@ def test_no_home_and_no_temporary_folder_are_needed(tmp_path):
     assert (tmp_path / "results" / "table1.csv").exists()
 
 
-def test_jobs_that_would_share_a_folder_are_refused_before_the_first(tmp_path):
-    done = uarm_rl("train", "-m", "agent.gamma=0.9,0.99", *QUICK, "results_dir=q", cwd=tmp_path)
-    assert_refused(
-        done, 2, "would both train in q/adaptive-penalty/seed0", "name=${buffer.name}-${reward.name}-gamma${agent.gamma}"
-    )
-    assert not list(tmp_path.glob("q/*/seed*"))
-
-
-def test_a_failing_job_is_named_once_in_our_words_alone(tmp_path):
-    words = ("train", "-m", "agent.gamma=2,0.9", "name=g${agent.gamma}", *QUICK)
-    done = uarm_rl(*words, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("agent.gamma must be a number from 0 to 1, got 2") == 1
-    assert "Error executing job" not in done.stdout + done.stderr
-    assert (tmp_path / "results" / "g0.9" / "seed0" / "policy.safetensors").exists()
-
-
-def test_a_setting_that_is_given_twice_is_told(tmp_path):
-    done = uarm_rl("train", "-m", "seed=0", "seed=1", *QUICK, cwd=tmp_path)
-    assert "note: seed is given twice, and seed=1 counts; seed=A,B is a run of each" in done.stderr
-    assert [path.name for path in tmp_path.glob("results/*/*")] == ["seed1"]
-
-
 def test_a_name_in_any_alphabet(tmp_path):
     done = uarm_rl("train", "name=Ümlaut", *QUICK, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -123,29 +99,3 @@ def test_a_finished_run_leaves_nothing_that_only_a_training_needs(tmp_path):
     assert uarm_rl("train", *QUICK, cwd=tmp_path).returncode == 0
     (run,) = tmp_path.glob("results/*/seed0")
     assert sorted(path.name for path in run.iterdir()) == ["config.yaml", "policy.safetensors", "progress.csv"]
-
-
-def test_a_missing_value_does_not_keep_the_configuration_from_being_seen(tmp_path):
-    done = uarm_rl("render", "--cfg", "job", cwd=tmp_path)
-    assert (done.returncode, "run: ???" in done.stdout) == (0, True), done.stderr
-
-
-@pytest.mark.parametrize(
-    ("line", "some", "none"),
-    [
-        ("uarm-rl train --epi", {"--episodes="}, {"--experiment="}),
-        ("uarm-rl train --seed=0 bat", {"batch_size="}, set()),
-        ("uarm-rl report ", {"results_dir="}, {"servo=", "buffer=", "episodes="}),
-        ("uarm-rl train resume=", {"resume=true", "resume=false"}, set()),
-        ("uarm-rl train experiment=", {"experiment=A"}, set()),
-        ("uarm-rl evaluate run=a", {"run=a/", "run=ab.csv"}, set()),
-        ("uarm-rl jog li", {"limits=", "limits.z_m="}, set()),
-    ],
-)
-def test_completion_offers_what_the_command_takes(tmp_path, monkeypatch, line, some, none):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "ab.csv").touch()
-    monkeypatch.chdir(tmp_path)
-    offered = set(candidates(line))
-    assert some <= offered
-    assert not none & offered

@@ -59,6 +59,14 @@ def run(settings: Settings) -> None:
         print(f"evaluated already, {file} is there (overwrite=true evaluates again): {', '.join(map(str, done))}")
 
 
+def output(settings: Settings) -> Path:
+    """The file of one run, or that of every run's folder, whose name is then a star."""
+    file = Path(checks.text("out", settings["out"] or "evaluation.csv"))
+    if settings["run"]:
+        return file if settings["out"] else checks.path("run", settings["run"]) / file
+    return checks.path("results_dir", settings["results_dir"]) / "*" / file
+
+
 def _trained_runs(results_dir: Path) -> list[Path]:
     trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
     if not trained:

@@ -9,6 +9,7 @@ Examples:
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from uarm_rl import checks, workers
@@ -27,7 +28,7 @@ def run(settings: Settings) -> None:
     if settings["position"] is not None:
         resets = [{"options": {"object_position": checks.position("position", settings["position"])}}]
     run_dir = checks.path("run", settings["run"])
-    out = checks.path("out", settings["out"]) if settings["out"] else run_dir / "episode.gif"
+    out = output(settings)
     check_film(out, width, height)
     run_settings = read_run(run_dir)
     policy = load_policy(run_dir, settings["policy"], run_settings)
@@ -46,3 +47,8 @@ def run(settings: Settings) -> None:
         env.close()
     write_film(out, pictures, frames_per_second=control_hz)
     print(f"{out}: {len(pictures)} pictures, {successes} of {len(resets)} episodes successful")
+
+
+def output(settings: Settings) -> Path:
+    """The film."""
+    return checks.path("out", settings["out"]) if settings["out"] else checks.path("run", settings["run"]) / "episode.gif"

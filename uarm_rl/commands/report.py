@@ -8,6 +8,8 @@ Examples:
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from uarm_rl import checks
 from uarm_rl.configuration import Settings
 from uarm_rl.report.report import report
@@ -15,4 +17,9 @@ from uarm_rl.report.report import report
 
 def run(settings: Settings) -> None:
     """Rebuild table and figures."""
-    print(report(checks.path("results_dir", settings["results_dir"])))
+    print(report(output(settings)))
+
+
+def output(settings: Settings) -> Path:
+    """The folder of the runs, which takes the tables and figures."""
+    return checks.path("results_dir", settings["results_dir"])

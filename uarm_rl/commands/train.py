@@ -43,8 +43,8 @@ def run(settings: Settings) -> None:
     if settings["resume"] and settings["overwrite"]:
         raise UsageError("resume=true continues a run and overwrite=true deletes it; give one of them")
     if settings["tensorboard"] and not find_spec("tensorboard"):
-        raise UsageError("tensorboard=true needs an extra; in the checkout: pip install -c constraints.txt -e '.[tensorboard]'")
-    run_dir = _run_folder(settings)
+        raise UsageError(f"tensorboard=true needs an extra; {checks.how_to_add('tensorboard')}")
+    run_dir = output(settings)
     kept = {key: value for key, value in settings.items() if key not in _TRANSIENT}
     kept["sim"] = checks.mapping("sim", settings["sim"]) | {"gui": False}
     if settings["resume"] and session.is_finished(run_dir):
@@ -77,6 +77,16 @@ def run(settings: Settings) -> None:
         raise SystemExit(130)
 
 
+def output(settings: Settings) -> Path:
+    """The run's folder."""
+    name, seed = checks.text("name", settings["name"]), checks.integer("seed", settings["seed"], low=0, high=2**32)
+    if not re.fullmatch(r"\w[\w.,+ -]*", name):
+        raise UsageError(
+            f"name={name} is no name of a folder; take letters, digits and . , + - _, and results_dir=PATH for paths"
+        )
+    return checks.path("results_dir", settings["results_dir"]) / name / f"seed{seed}"
+
+
 def _learner(settings: Settings) -> Learner:
     """All that learns, each part with a generator of its own."""
     seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
@@ -99,12 +109,3 @@ def _learner(settings: Settings) -> Learner:
         policy=agent.policy(policy_card(settings)),
         env=env_class(make_env, env_seed),
     )
-
-
-def _run_folder(settings: Settings) -> Path:
-    name, seed = checks.text("name", settings["name"]), checks.integer("seed", settings["seed"], low=0, high=2**32)
-    if not re.fullmatch(r"\w[\w.,+ -]*", name):
-        raise UsageError(
-            f"name={name} is no name of a folder; take letters, digits and . , + - _, and results_dir=PATH for paths"
-        )
-    return checks.path("results_dir", settings["results_dir"]) / name / f"seed{seed}"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import Final
 
-from uarm_rl.checks import UsageError
+from uarm_rl.checks import UsageError, how_to_add
 from uarm_rl.commands import COMMANDS
 from uarm_rl.configuration import groups
 
@@ -20,12 +21,15 @@ _OPTION: Final = re.compile(rf"--(?!(?:{_HYDRAS})(?:=|$))([a-z][\w.@/-]*)(?:=(.*
 _NUMBER: Final = re.compile(r"-\.?\d.*")
 #: Values that Hydra reads without quotes: words, numbers, paths, lists.
 _PLAIN: Final = re.compile(r"[\w./:,+@%$\[\]{} -]+", re.ASCII)
+_REFERENCE: Final = re.compile(r"\$\{[\w.]+\}")
+#: What is Hydra's own grammar, and stays as it is: quotes, calls, lists.
+_GRAMMAR: Final = re.compile(r"""['"\\()\[\]{}]""")
 
 
 def as_overrides(words: list[str]) -> list[str]:
-    """``--name value`` as ``name=value``, the one spelling that is read further on.
+    """``--name value`` as ``name=value``, the one spelling that is read further on, with quotes where Hydra needs them.
 
-    ``--dry-run`` is ``dry_run=true``, ``--target 0.2 0 0.03`` is ``target=[0.2,0,0.03]``. All other words stay as they are.
+    ``--dry-run`` is ``dry_run=true``, ``--target 0.2 0 0.03`` is ``target=[0.2,0,0.03]``.
     """
     overrides: list[str] = []
     rest = list(words)
@@ -45,10 +49,11 @@ def as_overrides(words: list[str]) -> list[str]:
 
 
 def _readable(word: str) -> str:
-    """``name=value`` with a value that only quotes make readable in them, as letters beyond ASCII need."""
+    """``name=value`` with quotes around what only they make readable, as letters beyond ASCII and odd signs."""
     name, equals, value = word.partition("=")
-    simple = re.fullmatch(r"[^'\"()\[\]{}\\,$#]+", value) and not _PLAIN.fullmatch(value)
-    return f"{name}={_quoted(value)}" if equals and simple and re.fullmatch(r"[a-z][\w.@/]*", name) else word
+    if not equals or not value or _PLAIN.fullmatch(value) or _GRAMMAR.search(_REFERENCE.sub("", value)):
+        return word
+    return f"{name}={','.join(map(_quoted, value.split(',')))}"
 
 
 def _begins_something(word: str) -> bool:
@@ -62,7 +67,7 @@ def _quoted(value: str) -> str:
 
 #: What a user of this program needs of Hydra. Its other switches and settings (callbacks, search paths, logging)
 #: could run code that a configuration names.
-_FLAGS: Final = ("-m", "--multirun", "-h", "--help", "-c", "--cfg")
+FLAGS: Final = ("-m", "--multirun", "-h", "--help", "-c", "--cfg")
 _LAUNCHER_MODULES: Final = {"joblib": "hydra_plugins.hydra_joblib_launcher"}
 _HYDRA_OVERRIDES: Final = ("hydra/launcher=basic", *(f"hydra/launcher={name}" for name in _LAUNCHER_MODULES))
 
@@ -74,19 +79,35 @@ def check(words: list[str]) -> None:
         near = difflib.get_close_matches(command, COMMANDS, n=1)
         hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(COMMANDS)}"
         raise UsageError(f"there is no command {command!r}; {hint}")
-    for word in rest:
-        if word.startswith("-") and word not in _FLAGS:
+    for before, word in zip(words, rest, strict=False):
+        if word == "job" and before in ("-c", "--cfg"):
+            continue
+        if word.startswith("-") and word not in FLAGS:
             raise UsageError(f"{word} is no option of uarm-rl {command}; it takes name=value or --name value, -m and --help")
         if word.startswith(("+", "~")):
             raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
+        if not word.startswith("-") and not re.match(r"[\w./@-]+=", word):
+            raise UsageError(f"{word!r} is no setting; write name=value or --name value")
         if word.startswith("hydra/launcher=") and word in _HYDRA_OVERRIDES and word.partition("=")[2] not in _launchers():
             launcher = word.partition("=")[2]
-            raise UsageError(f"the launcher {launcher} is not installed; in the checkout: pip install -e '.[launch]'")
+            raise UsageError(f"the launcher {launcher} is not installed; {how_to_add('launch')}")
         if word.startswith("hydra") and word not in _HYDRA_OVERRIDES and not _is_job_count(word):
             raise UsageError(f"{word} is not for the command line; of Hydra's own settings only hydra/launcher=joblib is")
         name, _, value = word.partition("=")
         if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
             raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
+
+
+def given_twice(words: Iterable[str]) -> list[str]:
+    """A sentence for every setting that has two values: the last one counts, as with other programs' options."""
+    values: dict[str, list[str]] = {}
+    for name, _, value in (word.partition("=") for word in words if not word.startswith("-")):
+        values.setdefault(name, []).append(value)
+    return [
+        f"{name} is given twice, and {name}={given[-1]} counts; -m {name}={','.join(dict.fromkeys(given))} is a run of each"
+        for name, given in values.items()
+        if len(set(given)) > 1
+    ]
 
 
 def _launchers() -> list[str]:

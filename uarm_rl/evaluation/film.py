@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl import files
+from uarm_rl import checks, files
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import Policy
 from uarm_rl.task.rollout import run_episode
@@ -65,9 +65,7 @@ def check_film(path: Path, width: int, height: int) -> None:
     if not path.parent.is_dir():
         raise ValueError(f"there is no folder {path.parent} for {path.name}; make it first, or give another out=FILE")
     if path.suffix == ".mp4" and not find_spec("imageio_ffmpeg"):
-        raise ValueError(
-            "an .mp4 needs an extra, in the checkout: pip install -c constraints.txt -e '.[video]'; or choose out=FILE.gif"
-        )
+        raise ValueError(f"an .mp4 needs an extra; choose out=FILE.gif, or {checks.how_to_add('video')}")
     if path.suffix == ".mp4" and (width % 2 or height % 2):
         raise ValueError(f"an .mp4 needs even width and height, got {width} x {height}")
 

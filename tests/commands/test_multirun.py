@@ -1,0 +1,119 @@
+"""Many jobs on one command line: where each writes, what is told of those that fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.conftest import FAST, uarm_rl
+from uarm_rl import cli
+
+SHORT = ("episodes=1", "experiences_per_episode=20", "warmup_experiences=20", "time_limit_s=0.1", "simulate_beside=false")
+TINY = tuple({word.partition("=")[0]: word for word in (*FAST, *SHORT)}.values())
+SWEEP = ("train", "-m", "seed=3", "agent.gamma=2,0.9", "name=gamma-${agent.gamma}", *TINY)
+TOLD = [
+    "failed: agent.gamma=2: agent.gamma must be a number from 0 to 1, got 2",
+    "error: 1 of 2 jobs failed: agent.gamma=2",
+]
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys) -> Callable[..., tuple[int, str]]:
+    """A command in this process, which has torch already: exit code and what it said on stderr, the bars aside."""
+    monkeypatch.chdir(tmp_path)
+
+    def command(*words: str) -> tuple[int, str]:
+        try:
+            cli.main(words)
+            code = 0
+        except SystemExit as end:
+            code = int(end.code or 0)
+        return code, told(capsys.readouterr().err)
+
+    return command
+
+
+def told(stderr: str) -> str:
+    return "\n".join(line for line in stderr.replace("\r", "\n").splitlines() if line.strip() and "%|" not in line)
+
+
+def test_a_failing_job_is_told_once_and_does_not_stop_the_others(run, tmp_path):
+    code, said = run(*SWEEP)
+    assert (code, said.splitlines()) == (2, TOLD)
+    policy = tmp_path / "results" / "gamma-0.9" / "seed3" / "policy.safetensors"
+    before = policy.read_bytes()
+    assert run(*SWEEP, "resume=true") == (2, "\n".join(TOLD))
+    assert policy.read_bytes() == before
+
+
+def test_likewise_beside_each_other(tmp_path):
+    done = uarm_rl(*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
+    assert (done.returncode, told(done.stderr).splitlines()) == (2, TOLD)
+    assert (tmp_path / "results" / "gamma-0.9" / "seed3" / "policy.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "place", "example"),
+    [
+        (
+            ("train", "agent.gamma=0.9,1"),
+            "results/adaptive-penalty/seed0",
+            "name=${buffer.name}-${reward.name}-gamma${agent.gamma}",
+        ),
+        (("train", "servo=instant,stepper"), "adaptive-penalty/seed0", "name=${buffer.name}-${reward.name}-${servo.name}"),
+        (("train", "experiment=A,C", "name=x"), "results/x/seed0", "name=${buffer.name}-${reward.name}"),
+        (("evaluate", "tolerance_m=0.1,0.2", "out=x.csv"), "results/*/x.csv", "out=tolerance_m${tolerance_m}.csv"),
+        (("render", "run=r", "seed=0,1"), "r/episode.gif", "out=seed${seed}.gif"),
+    ],
+)
+def test_jobs_that_would_share_a_place_are_refused_before_the_first(run, tmp_path, words, place, example):
+    code, said = run(words[0], "-m", *words[1:])
+    name, _, values = next(word for word in words if "," in word).partition("=")
+    assert (code, said.count("error: ")) == (2, 1)
+    for part in ("2 jobs would write to ", place, f"'{example}'", *(f"{name}={value}" for value in values.split(","))):
+        assert part in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_example_that_is_offered_works(run, tmp_path):
+    words = (
+        "train",
+        "-m",
+        *(word for word in TINY if "hidden" not in word),
+        "agent.hidden=[4,4],[8,8]",
+        "servo=instant,stepper",
+    )
+    _, said = run(*words)
+    assert run(*words, said.split("for example with '")[1].split("'")[0]) == (0, "")
+    assert len(list((tmp_path / "results").glob("*/seed0/policy.safetensors"))) == 4
+
+
+def test_one_job_twice_is_refused(run, tmp_path):
+    code, said = run("train", "-m", "seed=0,0")
+    assert (code, "they are the same; leave all but one of them out" in said) == (2, True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_setting_that_is_given_twice_is_told(run, tmp_path):
+    code, said = run("train", "-m", "seed=0", "seed=1", *TINY)
+    assert (code, said) == (0, "note: seed is given twice, and seed=1 counts; -m seed=0,1 is a run of each")
+    assert [path.name for path in (tmp_path / "results").glob("*/seed*")] == ["seed1"]
+
+
+def test_what_every_job_needs_is_checked_before_the_first(run, tmp_path):
+    code, said = run("train", "-m", "seed=0,1", "agent.gama=1")
+    assert (code, said.count("error: "), "did you mean agent.gamma?" in said) == (2, 1, True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_environment_can_be_made_inside_another_hydra_application(tmp_path):
+    """As in a script of somebody who uses Hydra too."""
+    import hydra
+
+    import uarm_rl as package
+
+    (tmp_path / "theirs.yaml").write_text("seed: 3\n")
+    with hydra.initialize_config_dir(str(tmp_path), version_base="1.3"):
+        package.make_env("buffer=uniform").close()
+        assert hydra.compose("theirs").seed == 3
