@@ -12,7 +12,6 @@ import torch
 from uarm_rl import configuration
 
 CONF = Path(str(resources.files("uarm_rl.conf")))
-GROUPS = sorted(path.name for path in CONF.iterdir() if path.is_dir() and not path.name.startswith("__"))
 CHOICES = [(path.parent.name, path.stem) for path in sorted(CONF.glob("*/*.yaml"))]
 
 RUNTIME = {

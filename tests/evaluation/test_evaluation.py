@@ -9,24 +9,26 @@ import pytest
 
 from uarm_rl import configuration
 from uarm_rl.evaluation.evaluate import evaluate
-from uarm_rl.evaluation.measures import COLUMNS, CONDITIONS, MEASURED, TRACES, measure, shaking, trace_rows
+from uarm_rl.evaluation.measures import MEASURED, TRACES, measure, shaking, trace_rows
 from uarm_rl.task import positions
 from uarm_rl.task.env import TRACE_COLUMNS
 from uarm_rl.task.policy import InverseKinematicsPolicy
 from uarm_rl.task.rollout import Episode
 
-SETTINGS = configuration.compose("train", ("time_limit_s=4",))
 COMMON = configuration.build("reward", configuration.compose("train", ("reward=penalty",))["reward"])
 
 
-def episodes(workers: int, count: int = 6, policy: object = None, time_limit_s: float = 4.0) -> list[Episode]:
-    make = partial(configuration.build_env, SETTINGS, time_limit_s=time_limit_s)
+def episodes(
+    workers: int, count: int = 6, policy: object = None, time_limit_s: float = 4.0, control_hz: int = 20
+) -> list[Episode]:
+    settings = configuration.compose("train", (f"control_hz={control_hz}",))
+    make = partial(configuration.build_env, settings, time_limit_s=time_limit_s)
     policy = policy or InverseKinematicsPolicy(0.15)
     return list(evaluate(make, policy, positions.load_named("validation")[:count], processes=workers))
 
 
-def rows(episodes: list[Episode]) -> list[dict[str, object]]:
-    return [measure(number, episode, COMMON, control_hz=20) for number, episode in enumerate(episodes)]
+def rows(episodes: list[Episode], control_hz: int = 20) -> list[dict[str, object]]:
+    return [measure(number, episode, COMMON, control_hz=control_hz) for number, episode in enumerate(episodes)]
 
 
 def test_evaluations_are_identical_however_many_work_on_them():
@@ -52,47 +54,62 @@ class Still:
         return np.zeros(3, np.float32)
 
 
-def test_a_policy_that_does_nothing_fails_and_does_not_shake():
-    for row in rows(episodes(1, count=2, policy=Still())):
+@pytest.mark.parametrize("control_hz", [10, 20, 40])
+def test_a_policy_that_does_nothing_fails_and_does_not_shake(control_hz):
+    for episode in episodes(1, count=2, policy=Still(), control_hz=control_hz):
+        (row,) = rows([episode], control_hz)
         assert not row["success"]
         assert row["time_s"] == 4.0
         assert row["tip_travel_last_s_m"] < 1e-5
         assert row["reversals_per_s"] == 0
-        # 80 control steps at the same distance d, alpha = 1, no progress: -80 d in the 1-norm of d_h and d_v
-        assert row["common_return"] < -80 * row["final_distance_m"] * 0.99
+        state = episode.trace[0, 3:6], episode.trace[0, 6:9]
+        assert row["common_return"] == pytest.approx(4 * control_hz * COMMON(*state, *state).total, rel=1e-4)
 
 
-def test_shaking_of_known_paths():
-    time = np.arange(0, 5, 0.05)
+def test_measures_of_a_known_episode():
+    """The cup comes down from 40 mm to 10 and goes up to 20; at the second step it shoves the object 3 mm aside."""
+    heights, shoved = [0.04, 0.03, 0.01, 0.02], [0.0, 0.0, 0.003, 0.003]
+    trace = [[0, 0, 0, 0.2, y, 0.03 + z, 0.2, y, 0.03] for z, y in zip(heights, shoved, strict=True)]
+    row = measure(7, Episode(True, -3.5, 2, np.array(trace)), COMMON, control_hz=10)
+    assert (row["position"], row["success"], row["return"], row["decisions"]) == (7, True, -3.5, 2)
+    measured = [row[name] for name in ("time_s", "final_distance_m", "min_distance_m", "object_displacement_m")]
+    assert measured == pytest.approx([0.3, 0.02, 0.01, 0.003])
+    r_d = [COMMON.beta_d * height for height in heights]
+    expected = COMMON.alpha * sum(r_d[1:]) + COMMON.beta * (r_d[-1] - r_d[0]) + COMMON.sigma * 0.003
+    assert row["common_return"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("control_hz", [10, 20])
+def test_shaking_of_known_paths(control_hz):
+    time = np.arange(0, 5, 1 / control_hz)
     still = np.tile([0.2, 0.0, 0.1], (len(time), 1))
-    assert shaking(still, control_hz=20) == {"reversals_per_s": 0, "rms_jerk": 0, "tip_travel_last_s_m": 0}
+    assert shaking(still, control_hz=control_hz) == {"reversals_per_s": 0, "rms_jerk": 0, "tip_travel_last_s_m": 0}
     straight = still + np.outer(time, [0.1, 0, 0])
-    result = shaking(straight, control_hz=20)
+    result = shaking(straight, control_hz=control_hz)
     assert result["reversals_per_s"] == 0
     assert result["tip_travel_last_s_m"] == pytest.approx(0.1)
     assert result["rms_jerk"] == pytest.approx(0, abs=1e-6)
     zigzag = still.copy()
     zigzag[::2, 1] += 0.002  # turns at every control step
-    result = shaking(zigzag, control_hz=20)
-    assert result["reversals_per_s"] == pytest.approx(20, rel=0.03)
-    assert result["tip_travel_last_s_m"] == pytest.approx(20 * 0.002)
-    assert result["rms_jerk"] == pytest.approx(8 * 0.002 * 20**3 / 2, rel=0.01)  # 3rd difference of +-a/2 is 4a
-    assert shaking(still[:2], control_hz=20)["rms_jerk"] == 0
-
-
-def test_a_file_says_under_which_conditions_it_was_made():
-    assert (*MEASURED, *CONDITIONS) == COLUMNS
-    assert CONDITIONS[:2] == ("tolerance_m", "hold")
+    result = shaking(zigzag, control_hz=control_hz)
+    assert result["reversals_per_s"] == pytest.approx(control_hz, rel=0.05)
+    assert result["tip_travel_last_s_m"] == pytest.approx(control_hz * 0.002)
+    assert result["rms_jerk"] == pytest.approx(8 * 0.002 * control_hz**3 / 2, rel=0.01)  # 3rd difference of +-a/2 is 4a
+    for tremble_m in (0.00005, 0.002):  # too small a movement has no direction, whether it is one of two or both
+        moves = np.tile([[0.002, 0, 0], [-0.00005, 0, 0], [-tremble_m, 0, 0]], (20, 1))
+        reversals = shaking(np.cumsum(moves, axis=0), control_hz=control_hz)["reversals_per_s"] * len(moves) / control_hz
+        assert reversals == pytest.approx(0 if tremble_m < 1e-4 else 20, abs=1)
+    assert shaking(still[:2], control_hz=control_hz)["rms_jerk"] == 0
 
 
 def test_traces_hold_every_control_step_in_micrometres():
-    (episode,) = episodes(1, count=1)
-    traced = list(trace_rows(7, episode, control_hz=20))
+    (episode,) = episodes(1, count=1, control_hz=40)
+    traced = list(trace_rows(7, episode, control_hz=40))
     assert len(traced) == len(episode.trace)
     assert tuple(traced[0]) == TRACES == ("position", "step", "time_s", *TRACE_COLUMNS)
     assert [row["position"] for row in traced] == [7] * len(traced)
     assert [row["step"] for row in traced] == list(range(len(traced)))
-    assert [row["time_s"] for row in traced[:3]] == [0.0, 0.05, 0.1]
+    assert [row["time_s"] for row in traced[:3]] == [0.0, 0.025, 0.05]
     values = np.array([[row[column] for column in TRACE_COLUMNS] for row in traced])
     assert np.abs(values - episode.trace).max() <= 0.5000001e-6
     x, y, z = positions.load_named("validation")[0]

@@ -67,7 +67,7 @@ def complaints(case: Case, box: Box, code: int | None, before: dict[str, str]) -
         return [*found, "hung" if code is None else f"died of {signal.Signals(-code).name}"]
     errors = written(box.root / "stderr")
     lines = [line for line in errors.replace("\r", "\n").splitlines() if line.strip()]
-    sentences = [line for line in lines if line.startswith("error: ")]
+    sentences = [line for line in lines if line.startswith(("error: ", "failed: "))]  # of many, a job's
     faults = {
         "traceback": "Traceback (most recent call last)" in errors,
         "accepted": code == 0 and not case.accepted,
