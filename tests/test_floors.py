@@ -1,8 +1,10 @@
-"""Imports point down only: who may use what, read from the source, through however many modules it was handed on."""
+"""The house: imports point down only, through however many modules a name is handed on, and documents name what is there."""
 
 from __future__ import annotations
 
 import ast
+import re
+import subprocess
 from collections.abc import Iterator
 from configparser import ConfigParser
 from functools import cache
@@ -10,6 +12,9 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+import yaml
+
+from uarm_rl.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "uarm_rl"
@@ -133,3 +138,41 @@ def test_setup_cfg_lists_every_package():
     listed = set(parser["options"]["packages"].split())
     here = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")}
     assert listed == here | {"uarm_rl.conf"}
+
+
+DOCUMENTS = [ROOT / "CONTRIBUTING.md", ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+INITS = [path for path in MODULES.values() if path.name == "__init__.py" and path.parent != PACKAGE]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_what_a_document_names_is_there(document):
+    """Modules and files in backticks, as seen from the checkout or the package, and tests in them; ``NAME`` stands for any."""
+    for name in re.findall(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|yaml|md)(?:::\w+)?|\w+\.py)`", document.read_text()):
+        path, _, test = name.partition("::")
+        places = [root / path for root in (ROOT, PACKAGE) if (root / path).is_file()]
+        assert places or re.search(r"\b[A-Z]+\b", path), f"{document.name} names {path}"
+        assert not test or f"def {test}(" in places[0].read_text(), f"{document.name} names {name}"
+
+
+def test_the_picture_of_the_wings_is_the_table():
+    picture = (ROOT / "docs" / "architecture.md").read_text().partition("```mermaid")[2].partition("```")[0]
+    arrows = re.findall(r"^ *(\w+)(?:\[.*?\])? --> (.*)$", picture, re.MULTILINE)
+    assert {source for source, _ in arrows} | {"task"} == WINGS.keys() - {"uarm_rl", "__main__"}
+    for source, targets in arrows:
+        assert set(re.findall(r"\w+", re.sub(r"\[.*?\]", "", targets))) <= WINGS[source], source
+
+
+@pytest.mark.parametrize("package", INITS, ids=lambda path: path.parent.name)
+def test_a_wing_lists_what_lives_in_it(package):
+    """Each of its modules (the commands are listed in ``COMMANDS``), and of others only what is there."""
+    contents = ast.get_docstring(ast.parse(package.read_text()))
+    named = set(re.findall(r"``([\w/]+\.py)``", contents))
+    listed = {f"{command.replace('-', '_')}.py" for command in COMMANDS} if package.parent.name == "commands" else set()
+    assert named | listed >= {path.name for path in package.parent.glob("*.py")} - {"__init__.py"}
+    assert all((package.parent / name).is_file() or (PACKAGE / name).is_file() for name in named)
+
+
+def test_commits_are_checked_by_what_make_check_runs():
+    made = subprocess.run(["make", "-n", "check"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    assert [hook["entry"] for hook in hooks] == [line for line in made if re.match(r"\.venv/bin/(?!python)", line)]

@@ -1,8 +1,14 @@
 """The commands, one module each: its docstring is its help, ``run(settings)`` carries it out.
 
-A command may say with ``output(settings)`` to which file or folder it would write: jobs of a multirun must not share one.
-``run_real.py`` is ``uarm-rl run-real`` with the configuration ``conf/run_real.yaml``. A new command is a module here, a line
-in ``COMMANDS`` and a configuration file. ``errors.py`` turns exceptions into sentences.
+Read ``train.py`` first. ``uarm-rl run-real`` is ``run_real.py`` with the configuration ``conf/run_real.yaml``: a new command is a
+module here, a line in ``COMMANDS`` and a configuration file. A command may say with ``output(settings)`` to which file or folder
+it would write: jobs of a multirun must not share one. What they share:
+
+- ``words.py``: which words a command line may have; ``help.py`` and ``completion.py``: what there is to write
+- ``errors.py``: exceptions as sentences
+- ``arm_settings.py``: the camera that a configuration names
+
+Uses every other wing; only ``cli.py`` uses this one.
 """
 
 from typing import Final

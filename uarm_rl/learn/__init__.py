@@ -1,1 +1,12 @@
-"""The learner: networks, replay, what may enter it, noise, the loop, and a run in its folder."""
+"""The learner.
+
+Read ``train.py`` first: the loop, and nothing else. What it is handed is one ``learner.py``, which can be saved and restored:
+
+- ``ddpg.py`` on ``network.py``: the agent, and the networks with their backward pass written out
+- ``replay.py``, ``admission.py``, ``noise.py``: what is stored, what may enter, exploration
+- ``async_env.py``: the environment whose step is in two halves, here or in a process of its own
+
+``run.py`` keeps a training in its folder: claim, progress, validation, stop, resume; ``checkpoint.py`` is what lies on the disk.
+
+Uses ``task`` alone; the only owner of torch. Knows nothing of PyBullet, configuration files or commands.
+"""

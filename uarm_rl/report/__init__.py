@@ -1,1 +1,13 @@
-"""Tables and figures, from the CSV files of the runs and nothing else."""
+"""Tables and figures, from the CSV files of the runs and nothing else.
+
+Read ``report.py`` first: it assembles all of it. ``records.py`` reads and checks every cell and computes nothing;
+``statistics.py`` computes; ``tables.py`` and ``figures.py`` write. A module for each further section:
+
+- ``comparisons.py``: which differences between the methods the data can show
+- ``robustness.py``: other tolerances, positions and holds
+- ``sample_efficiency.py``: success against what it cost
+- ``ablations.py``: the shorter runs that say why it works
+- ``arm_trials.py``: trials on an arm
+
+Uses ``task`` alone; the only owner of pandas, scipy and Matplotlib.
+"""

@@ -1,1 +1,13 @@
-"""The task: geometry, observation, reward, how long a command acts, and the environment over any arm."""
+"""The task, over any arm: what is seen, what is rewarded, how long a command acts, when it is over.
+
+Read ``env.py`` first: the Gymnasium environment, one step a decision. It stands on
+
+- ``arm.py``: what it asks of an arm and of a target (protocols), and the errors of arms
+- ``kinematics.py``: geometry of the uArm, limits, angle conventions
+- ``observation.py``, ``reward.py``, ``hold.py``: the 20 numbers, equation (4), how long a command acts
+- ``positions.py``: where the object may lie, and the committed files of positions
+
+and on it stand ``policy.py`` (a trained actor as one file, the inverse-kinematics baseline) and ``rollout.py`` (one episode).
+
+Uses no other wing; every wing uses this one. Only ``env.py`` needs Gymnasium, nothing needs torch or PyBullet.
+"""
