@@ -1,8 +1,8 @@
 """The commands, one module each: its docstring is its help, ``run(settings)`` carries it out.
 
-Read ``train.py`` first. ``uarm-rl run-real`` is ``run_real.py`` with the configuration ``conf/run_real.yaml``: a new command is a
-module here, a line in ``COMMANDS`` and a configuration file. A command may say with ``output(settings)`` to which file or folder
-it would write: jobs of a multirun must not share one. What they share:
+Read ``train.py`` first. ``uarm-rl run-real`` is ``run_real.py`` with the configuration ``conf/run_real.yaml``: a new command is
+a module here, a line in ``COMMANDS`` and a configuration file. A command may say with ``output(settings)`` to which file or
+folder it would write: jobs of a multirun must not share one. What the commands share:
 
 - ``words.py``: which words a command line may have; ``help.py`` and ``completion.py``: what there is to write
 - ``errors.py``: exceptions as sentences

@@ -6,7 +6,7 @@ Read ``firmware.py`` first: bytes and time in, bytes out. ``firmware_3_2.py`` is
 - ``physics.py``: arm, table, box and suction in PyBullet; ``camera.py`` and ``optics.py``: the camera and what it sees
 - ``realism.py``: how far from perfect it all is; ``faults.py``: what may go wrong
 
-In front: ``pty.py`` (pseudo-terminals), ``memory_port.py`` (a port in memory, with a clock of its own), ``emulate.py`` (all of it).
+In front: ``pty.py`` (pseudo-terminals), ``memory_port.py`` (a port in memory, with its own clock), ``emulate.py`` (all of it).
 
 Uses ``task``, ``sim`` and ``real``: the protocol's constants, never the driver.
 """

@@ -6,7 +6,7 @@ Read ``train.py`` first: the loop, and nothing else. What it is handed is one ``
 - ``replay.py``, ``admission.py``, ``noise.py``: what is stored, what may enter, exploration
 - ``async_env.py``: the environment whose step is in two halves, here or in a process of its own
 
-``run.py`` keeps a training in its folder: claim, progress, validation, stop, resume; ``checkpoint.py`` is what lies on the disk.
+``run.py`` keeps a training in its folder: claim, progress, validation, stop, resume; ``checkpoint.py`` is what is on disk.
 
 Uses ``task`` alone; the only owner of torch. Knows nothing of PyBullet, configuration files or commands.
 """

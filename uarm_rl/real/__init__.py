@@ -6,8 +6,9 @@ Read ``swift_arm.py`` first: the driver, behind the task's ``Arm`` protocol. Bel
 - ``audit.py``: one pure function between a wish and the wire
 - ``dryrun.py``: a port with nobody behind it
 
-On it: ``trials.py`` (find, reach, suck, lift, put down), ``search.py`` (find with the camera), ``session.py`` (connect, record),
-``doctor.py`` (look at everything), ``collecting.py`` (what a calibration needs). Cameras and geometry: ``vision/__init__.py``.
+On it: ``trials.py`` (find, reach, suck, lift, put down), ``search.py`` (find with the camera), ``session.py`` (connect,
+record), ``doctor.py`` (look at everything), ``collecting.py`` (what a calibration needs). Cameras and
+geometry: ``vision/__init__.py``.
 
 Uses ``task``, and of ``report`` the intervals. Needs neither torch nor PyBullet.
 """
