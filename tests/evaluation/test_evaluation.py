@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from uarm_rl import configuration
+from uarm_rl.columns import MEASURED, STATE, TRACES
 from uarm_rl.evaluation.evaluate import evaluate
-from uarm_rl.evaluation.measures import MEASURED, TRACES, measure, shaking, trace_rows
+from uarm_rl.evaluation.measures import measure, shaking, trace_rows
 from uarm_rl.task import positions
-from uarm_rl.task.env import TRACE_COLUMNS
 from uarm_rl.task.policy import InverseKinematicsPolicy
 from uarm_rl.task.rollout import Episode
 
@@ -42,7 +42,7 @@ def test_inverse_kinematics_reaches_every_validation_position():
     result = rows(episodes(1, count=50, time_limit_s=10.0))
     assert sum(row["success"] for row in result) == 50
     for row in result:
-        assert tuple(row) == MEASURED
+        assert tuple(row) == tuple(MEASURED)
         assert row["final_distance_m"] <= 0.005
         assert row["min_distance_m"] <= row["final_distance_m"]
         assert row["object_displacement_m"] < 0.005
@@ -106,11 +106,11 @@ def test_traces_hold_every_control_step_in_micrometres():
     (episode,) = episodes(1, count=1, control_hz=40)
     traced = list(trace_rows(7, episode, control_hz=40))
     assert len(traced) == len(episode.trace)
-    assert tuple(traced[0]) == TRACES == ("position", "step", "time_s", *TRACE_COLUMNS)
+    assert tuple(traced[0]) == tuple(TRACES)
     assert [row["position"] for row in traced] == [7] * len(traced)
     assert [row["step"] for row in traced] == list(range(len(traced)))
     assert [row["time_s"] for row in traced[:3]] == [0.0, 0.025, 0.05]
-    values = np.array([[row[column] for column in TRACE_COLUMNS] for row in traced])
+    values = np.array([[row[column] for column in STATE] for row in traced])
     assert np.abs(values - episode.trace).max() <= 0.5000001e-6
     x, y, z = positions.load_named("validation")[0]
     assert (traced[0]["object_x_m"], traced[0]["object_y_m"], traced[0]["object_z_m"]) == (x, y, z)

@@ -12,8 +12,8 @@ import pytest
 
 from tests.bench import Bench
 from tests.drawing import draw_dot, draw_plate, pose
+from uarm_rl.columns import OBSERVATIONS
 from uarm_rl.real.collecting import (
-    COLUMNS,
     append_observations,
     calibrate_intrinsics_from_folder,
     collect_board_pictures,
@@ -103,7 +103,7 @@ def test_a_table_gives_back_its_observations(tmp_path):
     for observation in some_observations():
         append_observations(path, [observation])
     assert read_observations(path, LENS) == some_observations()
-    assert path.read_text().startswith(",".join(COLUMNS) + "\n")
+    assert path.read_text().startswith(",".join(OBSERVATIONS) + "\n")
 
 
 def test_marks_are_found_in_the_pictures_of_a_table(tmp_path):
@@ -111,7 +111,7 @@ def test_marks_are_found_in_the_pictures_of_a_table(tmp_path):
     mark = (0.27, 0.02, 0.03)
     write_picture(tmp_path / "one.png", draw_dot(joints, nominal(), mark))
     row = ["one.png", "", "", *map(str, joints), *map(str, mark)]
-    (tmp_path / "touches.csv").write_text(",".join(COLUMNS) + "\n" + ",".join(row) + "\n")
+    (tmp_path / "touches.csv").write_text(",".join(OBSERVATIONS) + "\n" + ",".join(row) + "\n")
     (seen,) = read_observations(tmp_path / "touches.csv", LENS, RED)
     expected = projection.base_to_pixel(mark, joints, nominal())[0]
     assert seen.pixel_px == pytest.approx(expected, abs=0.3)
@@ -133,13 +133,13 @@ HEADER = "u_px,v_px,joint1_rad,joint2_rad,joint3_rad,x_m,y_m,z_m\n"
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "has no rows"),
+        ("", "is empty and lacks the column picture"),
         (HEADER, "has no rows"),
-        ("u_px,v_px\n1,2\n", "has no column joint1_rad, joint2_rad"),
-        (HEADER + "1,2,0,0,0,0.2,0.1,up\n", "line 2: z_m must be a number, got 'up'"),
-        (HEADER + "1,2,0,0,0,0.2,0.1,0\n1,2,0,0,0,nan,0.1,0\n", "line 3: x_m must be a number"),
-        (HEADER + "1,2,0,0\n", "line 2: joint3_rad must be a number, got None"),
-        (HEADER + "1,,0,0,0,0.2,0.1,0\n", "line 2: v_px must be a number, got ''"),
+        ("u_px,v_px\n1,2\n", "lacks the column joint1_rad; line 1 has 'u_px', 'v_px', separated by commas"),
+        (HEADER + "1,2,0,0,0,0.2,0.1,up\n", "line 2: z_m is 'up' and must be a finite number"),
+        (HEADER + "1,2,0,0,0,0.2,0.1,0\n1,2,0,0,0,nan,0.1,0\n", "line 3: x_m is 'nan'"),
+        (HEADER + "1,2,0,0\n", "line 2: 4 values for 8 columns"),
+        (HEADER + "1,,0,0,0,0.2,0.1,0\n", "line 2: one of u_px and v_px is empty"),
         (HEADER + ",,0,0,0,0.2,0.1,0\n", "line 2: there is neither a pixel"),
     ],
 )

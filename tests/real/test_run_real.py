@@ -19,6 +19,7 @@ from tests import hostile_arm
 from tests.bench import HOME, Bench, judge
 from tests.conftest import CARD, uarm_rl
 from uarm_rl import cli, configuration
+from uarm_rl.columns import TRIALS
 from uarm_rl.commands.words import as_overrides
 from uarm_rl.emulator.emulate import Workplace
 from uarm_rl.emulator.faults import Fault
@@ -31,7 +32,7 @@ from uarm_rl.real import session as lab
 from uarm_rl.real.link import Link
 from uarm_rl.real.search import CameraSearch
 from uarm_rl.real.swift_arm import PumpState, SwiftArm
-from uarm_rl.real.trials import COLUMNS, GivenTarget, ObjectNotFoundError, Task, run_trials
+from uarm_rl.real.trials import GivenTarget, ObjectNotFoundError, Task, run_trials
 from uarm_rl.real.vision.calibration import CalibrationError, nominal
 from uarm_rl.real.vision.camera import CameraError, OpenMVCamera
 from uarm_rl.real.vision.detection import MarkerDetector
@@ -117,7 +118,7 @@ def test_picks_carries_and_puts_down():
         rows = trials(here, arm, put_down=lambda place: other)
         assert arm.pump_state() is PumpState.STOPPED
     (row,) = rows
-    assert set(row) <= set(COLUMNS)
+    assert set(row) <= set(TRIALS)
     assert (row["success"], row["reached"], row["reason"], row["firmware"]) == (True, True, "", "V4.10.0")
     assert 2.0 < row["time_s"] < 10.0
     assert row["final_distance_m"] <= 0.005
@@ -406,7 +407,7 @@ def test_trials_on_a_terminal(run, served, tmp_path):
     assert "2 of 2 held after the lift: 100% (95 % interval 34% to 100%, Wilson); the arm was emulated" in output
     folder = tmp_path / "results" / "ik" / "seed0" / "real"
     rows = read(folder / "trials.csv")
-    assert tuple(rows[0]) == COLUMNS
+    assert tuple(rows[0]) == tuple(TRIALS)
     assert [(row["trial"], row["success"], row["emulated"]) for row in rows] == [("1", "1", "1"), ("2", "1", "1")]
     assert f"port: {server.path}" in (folder / "config.yaml").read_text()
     firmware.wait_until_parked()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from uarm_rl.columns import STATE
 from uarm_rl.sim.pybullet_arm import bullet
 from uarm_rl.task import kinematics, observation
-from uarm_rl.task.env import TRACE_COLUMNS
 from uarm_rl.task.policy import InverseKinematicsPolicy
 from uarm_rl.task.reward import DistanceReward
 from uarm_rl.task.rollout import run_episode
@@ -77,7 +77,7 @@ def test_success_is_a_dwell_without_a_break_and_terminates(make_env):
     distance = np.linalg.norm(episode.trace[:, 3:6] - episode.trace[:, 6:9], axis=1)
     assert (distance[-10:] <= 0.01).all()  # 0.5 s at 20 Hz
     assert distance[-11] > 0.01
-    assert episode.trace.shape[1] == len(TRACE_COLUMNS)
+    assert episode.trace.shape[1] == len(STATE)
 
 
 def test_the_time_limit_truncates(make_env):

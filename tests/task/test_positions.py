@@ -53,11 +53,11 @@ def test_draws_fill_the_operating_range():
     ("text", "sentence"),
     [
         ("x_m,y_m\n0.2,0\n", "lacks the column z_m"),
-        ("", "lacks the column x_m"),
+        ("", "is empty and lacks the column x_m"),
         ("x_m,y_m,z_m\n", "holds no positions"),
-        ("x_m,y_m,z_m\n0.2,0,0.03\n0.2,nan,0.03\n", "line 3: the cup cannot reach"),
-        ("x_m,y_m,z_m\n0.2,zero,0.03\n", "line 2: .* are not three numbers"),
-        ("x_m,y_m,z_m\n0.2,0\n", "line 2: .* are not three numbers"),
+        ("x_m,y_m,z_m\n0.2,0,0.03\n0.2,nan,0.03\n", "line 3: y_m is 'nan' and must be a finite number"),
+        ("x_m,y_m,z_m\n0.2,zero,0.03\n", "line 2: y_m is 'zero'"),
+        ("x_m,y_m,z_m\n0.2,0\n", "line 2: 2 values for 3 columns"),
         ("x_m,y_m,z_m\n0.9,0,0.03\n", "line 2: the cup cannot reach"),
     ],
 )

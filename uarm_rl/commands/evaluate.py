@@ -15,12 +15,12 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from uarm_rl import checks, workers
+from uarm_rl import checks, columns, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose, load_policy, read_run
 from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.evaluate import evaluate
-from uarm_rl.evaluation.measures import COLUMNS, TRACES, Row, measure, trace_rows
+from uarm_rl.evaluation.measures import Row, measure, trace_rows
 from uarm_rl.files import POLICY
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
@@ -108,7 +108,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
             traces += trace_rows(number, episode, control_hz=control_hz)
     out.parent.mkdir(parents=True, exist_ok=True)
     if traced:  # first, so that a result that is there has its traces
-        write_rows(out.with_name(f"{out.stem}-traces.csv"), TRACES, traces)
-    write_rows(out, COLUMNS, rows)
+        write_rows(out.with_name(f"{out.stem}-traces.csv"), columns.TRACES, traces)
+    write_rows(out, columns.EVALUATION, rows)
     successes = sum(bool(row["success"]) for row in rows)
     print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")

@@ -1,4 +1,4 @@
-"""What an episode of a test shows: the columns of an evaluation and of its traces."""
+"""What an episode of a test shows, in the columns of an evaluation and of its traces."""
 
 from __future__ import annotations
 
@@ -9,34 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl.task.env import TRACE_COLUMNS
+from uarm_rl import columns
 from uarm_rl.task.reward import DistanceReward
 from uarm_rl.task.rollout import Episode
 
 Row = dict[str, float | int | bool | str]
 
-#: What ``measure`` finds in an episode.
-MEASURED: Final = (
-    "position",
-    "success",
-    "return",
-    "common_return",
-    "time_s",
-    "final_distance_m",
-    "min_distance_m",
-    "object_displacement_m",
-    "reversals_per_s",
-    "rms_jerk",
-    "tip_travel_last_s_m",
-    "decisions",
-)
-#: Under which conditions a file was made, the same in all of its rows: how near the cup had to come, the hold tested with,
-#: control steps per second, the servo's rise time (10 to 90 % of 0.15 rad), sigma of the method's own reward (1/m).
-CONDITIONS: Final = ("tolerance_m", "hold", "control_hz", "servo_rise_s", "sigma")
-COLUMNS: Final = (*MEASURED, *CONDITIONS)
-
-#: Columns of a file of traces: one row a control step, the start included.
-TRACES: Final = ("position", "step", "time_s", *TRACE_COLUMNS)
 _TRACE_DECIMALS: Final = 6  # micrometres, microradians
 
 #: Movements shorter than this in one control step have no direction worth counting as reversed.
@@ -44,7 +22,7 @@ _REVERSAL_M: Final = 1e-4
 
 
 def measure(position: int, episode: Episode, common_reward: DistanceReward, *, control_hz: int) -> Row:
-    """What one episode shows, with the keys ``MEASURED``.
+    """What one episode shows, with the keys ``columns.MEASURED``.
 
     ``common_return`` sums one reward, the same for all methods, over control steps.
     """
@@ -66,9 +44,9 @@ def measure(position: int, episode: Episode, common_reward: DistanceReward, *, c
 
 
 def trace_rows(position: int, episode: Episode, *, control_hz: int) -> Iterator[Row]:
-    """The episode control step by control step, with the keys ``TRACES``."""
+    """The episode control step by control step, with the keys ``columns.TRACES``."""
     for step, state in enumerate(np.round(episode.trace, _TRACE_DECIMALS).tolist()):
-        yield {"position": position, "step": step, "time_s": step / control_hz, **dict(zip(TRACE_COLUMNS, state, strict=True))}
+        yield {"position": position, "step": step, "time_s": step / control_hz, **dict(zip(columns.STATE, state, strict=True))}
 
 
 def shaking(tip_m: NDArray[np.float64], *, control_hz: int) -> dict[str, float]:

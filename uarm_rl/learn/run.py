@@ -20,12 +20,12 @@ import numpy as np
 import yaml
 from filelock import FileLock, Timeout
 
-from uarm_rl import files
+from uarm_rl import columns, files
 from uarm_rl.csvfile import Logbook
 from uarm_rl.files import CONFIG, POLICY, PROGRESS
 from uarm_rl.learn import checkpoint
 from uarm_rl.learn.learner import Counters, Learner
-from uarm_rl.learn.train import COLUMNS, Schedule, Stop, train
+from uarm_rl.learn.train import Schedule, Stop, train
 from uarm_rl.task.policy import Policy
 
 _LOCK: Final = ".lock"
@@ -157,7 +157,7 @@ def run(
     snapshot, episode = learner.snapshot(schedule.experiences_per_episode), counters.episode
     on_disk = episode if saved else -1
     with ExitStack() as stack:
-        log = Logbook(run_dir / PROGRESS, COLUMNS, keep_rows=counters.episode)
+        log = Logbook(run_dir / PROGRESS, columns.PROGRESS, keep_rows=counters.episode)
         stack.callback(log.close)
         write_scalars = stack.enter_context(_tensorboard(run_dir)) if tensorboard else None
         bar = stack.enter_context(_progress_bar(run_dir, schedule, counters))

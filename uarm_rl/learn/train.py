@@ -14,28 +14,6 @@ from uarm_rl import checks
 from uarm_rl.learn.ddpg import DivergenceError
 from uarm_rl.learn.learner import Learner
 
-COLUMNS: Final = (
-    "episode",
-    "experiences",
-    "control_steps",
-    "updates",
-    "admission_rate",
-    "episode_return",
-    "critic_loss",
-    "actor_loss",
-    "validation_success_rate",
-    "wall_s",
-    "decisions",
-    "successes",
-    "object_losses",
-    "explosions",
-    "object_moved_m",
-    "q_min",
-    "q_max",
-    "saturation",
-    "warning",
-)
-
 _LARGEST: Final = {"batch_size": 10_000}
 
 

@@ -25,7 +25,6 @@ The arm does it with the driver's limits on; what the audit refuses is shown and
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +35,7 @@ from typing import Final, Protocol
 import cv2
 import numpy as np
 
-from uarm_rl import files
+from uarm_rl import columns, csvfile, files
 from uarm_rl.real.audit import UnsafeCommandError
 from uarm_rl.real.vision import projection
 from uarm_rl.real.vision.calibration import (
@@ -96,13 +95,6 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 # Observations as a table
 
-_PICTURE: Final = "picture"
-_PIXEL: Final = ("u_px", "v_px")
-_NUMBERS: Final = ("joint1_rad", "joint2_rad", "joint3_rad", "x_m", "y_m", "z_m")
-#: Columns of an observations file: where the mark is seen (a picture beside the file, or a pixel, which wins), the
-#: joints at that moment, and where the cup's tip touched the mark (base frame).
-COLUMNS: Final = (_PICTURE, *_PIXEL, *_NUMBERS)
-
 
 def read_observations(path: Path, intrinsics: Intrinsics, detector: Detector | None = None) -> list[Observation]:
     """The rows of an observations file; marks of rows without a pixel are found in their pictures by ``detector``.
@@ -110,62 +102,46 @@ def read_observations(path: Path, intrinsics: Intrinsics, detector: Detector | N
     Raises :class:`CalibrationError`, :class:`CameraError` or :class:`TargetNotFoundError` with the line that is wrong.
     """
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CalibrationError(f"the observations {path} cannot be read ({error}); name a CSV file") from error
-    if not rows:
-        raise CalibrationError(f"{path} has no rows; its columns are {', '.join(COLUMNS)}")
-    missing = [name for name in _NUMBERS if name not in rows[0]]
-    if missing:
-        raise CalibrationError(f"{path} has no column {', '.join(missing)}; its columns are {', '.join(COLUMNS)}")
+        table = csvfile.read(path, columns.OBSERVATIONS)
+    except (OSError, csvfile.CsvError) as error:
+        raise CalibrationError(f"the observations cannot be read: {error}") from error
+    if not table.lines:
+        raise CalibrationError(f"{path} has no rows below its header")
     observations = []
-    for line, row in enumerate(rows, start=2):
-        where = f"{path}, line {line}"
-        first, second, third, x, y, z = (_number(row, name, where) for name in _NUMBERS)
-        pixel = _pixel(row, where, path.parent, intrinsics, detector)
+    for line, *row in zip(table.lines, *table.values.values(), strict=True):
+        name, u, v, first, second, third, x, y, z = row
+        pixel = _pixel(f"{path}, line {line}", path.parent, name, (u, v), intrinsics, detector)
         observations.append(Observation(pixel, (first, second, third), (x, y, z)))
     return observations
 
 
-def _number(row: dict[str, str], name: str, where: str) -> float:
-    try:
-        value = float(row[name])
-    except (TypeError, ValueError):
-        value = math.nan
-    if not math.isfinite(value):
-        raise CalibrationError(f"{where}: {name} must be a number, got {row[name]!r}")
-    return value
-
-
 def _pixel(
-    row: dict[str, str], where: str, folder: Path, intrinsics: Intrinsics, detector: Detector | None
+    where: str, folder: Path, name: str, given: tuple[float, float], intrinsics: Intrinsics, detector: Detector | None
 ) -> tuple[float, float]:
-    if row.get(_PIXEL[0]) or row.get(_PIXEL[1]):
-        u, v = (_number({name: row.get(name, "")}, name, where) for name in _PIXEL)
-        return u, v
-    if not row.get(_PICTURE) or detector is None:
+    """The pixel that is given, or else that of the mark in the picture."""
+    if not any(map(math.isnan, given)):
+        return given
+    if not all(map(math.isnan, given)):
+        raise CalibrationError(f"{where}: one of u_px and v_px is empty; give both, or a picture alone")
+    if not name or detector is None:
         raise CalibrationError(f"{where}: there is neither a pixel (u_px, v_px) nor a picture with a detector for its mark")
-    picture = read_picture(folder / row[_PICTURE])
+    picture = read_picture(folder / name)
     intrinsics.check_size(picture)
     try:
         return detector.detect(picture).centre_px
     except TargetNotFoundError as error:
-        raise TargetNotFoundError(f"{where}, {row[_PICTURE]}: {error}") from error
+        raise TargetNotFoundError(f"{where}, {name}: {error}") from error
 
 
 def append_observations(path: Path, observations: Sequence[Observation], pictures: Sequence[str] = ()) -> None:
     """Add rows to an observations file, making it with its header if it is new; ``pictures`` are names beside it."""
     names = list(pictures) or [""] * len(observations)
-    new = not path.exists() or not path.stat().st_size
     path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        if new:
-            writer.writerow(COLUMNS)
-        for name, seen in zip(names, observations, strict=True):
-            pixel = [f"{value:.3f}" for value in seen.pixel_px]
-            writer.writerow([name, *pixel, *(f"{value:.6f}" for value in (*seen.joints_rad, *seen.touch_m))])
+    rows = [
+        [name, *(f"{value:.3f}" for value in seen.pixel_px), *(f"{value:.6f}" for value in (*seen.joints_rad, *seen.touch_m))]
+        for name, seen in zip(names, observations, strict=True)
+    ]
+    csvfile.append_rows(path, columns.OBSERVATIONS, [dict(zip(columns.OBSERVATIONS, row, strict=True)) for row in rows])
 
 
 # The session with the arm

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import yaml
 
-from uarm_rl import checks, files
+from uarm_rl import checks, columns, files
 from uarm_rl.checks import UsageError
 from uarm_rl.csvfile import Logbook
 from uarm_rl.real import doctor
@@ -27,7 +27,7 @@ from uarm_rl.real.dryrun import DryPort
 from uarm_rl.real.link import Link, open_link
 from uarm_rl.real.ports import ARM, PortError, find_port
 from uarm_rl.real.swift_arm import SwiftArm
-from uarm_rl.real.trials import COLUMNS, ObjectNotFoundError, Row, Search, Task, Trial, out_of_reach, run_trials
+from uarm_rl.real.trials import ObjectNotFoundError, Row, Search, Task, Trial, out_of_reach, run_trials
 from uarm_rl.report.statistics import wilson_interval
 from uarm_rl.task import positions
 from uarm_rl.task.kinematics import Vector
@@ -308,7 +308,7 @@ def record(trials: Iterable[Trial], folder: Path, config: str, *, emulated: bool
     for old in pictures.glob("trial-*.png"):  # of results that are being replaced
         old.unlink()
     files.replace(folder / "config.yaml", config.encode())
-    logbook = Logbook(folder / TRIALS, COLUMNS)
+    logbook = Logbook(folder / TRIALS, columns.TRIALS)
     try:
         for trial in trials:
             row = trial.row | {"emulated": emulated}

@@ -25,29 +25,7 @@ from uarm_rl.task.policy import Policy
 from uarm_rl.task.reward import DistanceReward
 from uarm_rl.task.rollout import run_episode
 
-Row = dict[str, Any]
-
-#: ``success``: the pump still reports a sealed cup after the lift. ``reached``: the policy's own flag. ``time_s``: from
-#: the home pose until the flag or the time limit, of the arm's time. ``final_distance_m``: cup to target at the end of
-#: the approach, by forward kinematics. ``clamps``: references pulled inside a limit by the audit.
-COLUMNS: Final = (
-    "trial",
-    "target_x_m",
-    "target_y_m",
-    "target_z_m",
-    "success",
-    "reached",
-    "time_s",
-    "final_distance_m",
-    "decisions",
-    "clamps",
-    "looks",
-    "camera_misfit_px",
-    "camera_disagreement_m",
-    "firmware",
-    "emulated",
-    "reason",
-)
+Row = dict[str, Any]  # with keys of ``columns.TRIALS``
 
 LIFT_M: Final = 0.06  # as high as ``positions`` demands that the cup can come from
 _PIECE_M: Final = 0.015  # a straight line in joint angles bends by 0.4 mm over so much height, by 7 mm over the lift

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
-from uarm_rl import files
+from uarm_rl import columns, csvfile
+from uarm_rl.columns import Columns, pick
 
 #: The folders of the runs of each name, in the order of their seeds.
 Runs = Mapping[str, Sequence[Path]]
@@ -58,52 +56,14 @@ SHAKING: Final = {
 }
 
 
-class Kind(NamedTuple):
-    """What the cells of a column may hold; an empty cell is NaN, one without a finite number infinity."""
-
-    allows: Callable[[float], bool]
-    words: str
-
-
-_FINITE: Final = Kind(math.isfinite, "a finite number")
-_WHOLE: Final = Kind(lambda value: value.is_integer() and abs(value) < 2**53, "a whole number")
-_OUTCOME: Final = Kind(lambda value: value in (0.0, 1.0), "0 or 1")
-_RATE: Final = Kind(lambda value: 0.0 <= value <= 1.0, "a number from 0 to 1")
-_RATE_OR_EMPTY: Final = Kind(lambda value: math.isnan(value) or 0.0 <= value <= 1.0, "empty or a number from 0 to 1")
-
-Columns = Mapping[str, Kind | None]  # None: text
-
 RETURNS: Final = ("common_return", "return")
-EVALUATION: Final[Columns] = {
-    "position": _WHOLE,
-    "success": _OUTCOME,
-    **dict.fromkeys((*RETURNS, *SHAKING), _FINITE),
-    "tolerance_m": _FINITE,
-    "hold": None,
-    "control_hz": _FINITE,
-    "servo_rise_s": _FINITE,
-    "sigma": _FINITE,
-}
-#: Columns that older evaluations lack: NaN or an empty text there.
-_NEWER: Final = ("tolerance_m", "hold", "control_hz", "servo_rise_s", "sigma")
+EVALUATION: Final = {**pick(columns.MEASURED, "position", "success", *RETURNS, *SHAKING), **columns.CONDITIONS}
 BUDGETS: Final = ("experiences", "updates", "decisions", "control_steps")
-PROGRESS: Final[Columns] = {
-    "episode": _WHOLE,
-    **dict.fromkeys(BUDGETS, _WHOLE),
-    "episode_return": _FINITE,
-    "validation_success_rate": _RATE_OR_EMPTY,
-}
+PROGRESS: Final = pick(columns.PROGRESS, "episode", *BUDGETS, "episode_return", "validation_success_rate")
 #: Further columns of the log, on what the object suffered while the policy learned.
-DISTURBANCE: Final[Columns] = {"successes": _WHOLE, "object_losses": _WHOLE, "object_moved_m": _FINITE}
-TRACES: Final[Columns] = {
-    "position": _WHOLE,
-    "time_s": _FINITE,
-    **dict.fromkeys((f"joint{number}_rad" for number in (1, 2, 3)), _FINITE),
-    **dict.fromkeys((f"{what}_{axis}_m" for what in ("cup", "object") for axis in "xyz"), _FINITE),
-}
-
-#: Columns of ``trials.csv`` that the report needs.
-TRIALS: Final = {"success": _OUTCOME, "reached": _OUTCOME, "emulated": _OUTCOME}
+DISTURBANCE: Final = pick(columns.PROGRESS, "successes", "object_losses", "object_moved_m")
+TRACES: Final = pick(columns.TRACES, "position", "time_s", *columns.STATE)
+TRIALS: Final = pick(columns.TRIALS, "success", "reached", "emulated")
 
 _REMEDIES: Final = {
     "evaluation.csv": "delete it and run `uarm-rl evaluate`",
@@ -169,7 +129,7 @@ def read_paper(results_dir: Path) -> dict[str, float]:
     """The paper's success rate of each method."""
     with resources.as_file(resources.files("uarm_rl.report") / "paper.csv") as packaged:
         own = results_dir / "paper.csv"
-        table = read(own if own.exists() else packaged, {"method": None, "success_rate": _RATE})
+        table = read(own if own.exists() else packaged, columns.PAPER)
     return dict(zip(table["method"], table["success_rate"], strict=True))
 
 
@@ -186,40 +146,16 @@ def lacking(runs: Runs, file: str) -> str:
 
 
 def read(path: Path, columns: Columns) -> dict[str, list[Any]]:
-    """The named columns of a CSV file: numbers of their kind, or text where the kind is ``None``."""
-    remedy = _remedy(path)
+    """The named columns of a CSV file: numbers of their kind, or text."""
     try:
-        text = io.StringIO(files.read(path).decode(), newline="")
-        header, *rows = [*csv.reader(text, strict=True)] or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ReportError(f"{path} cannot be read ({error}); {remedy}") from error
-    absent = [column for column in columns if column not in header]
-    if missing := [column for column in absent if column not in _NEWER]:
-        raise ReportError(f"{path} lacks the column {missing[0]}; {remedy}")
-    if not rows and path.name != "progress.csv":  # a training that has just begun has no row yet
-        raise ReportError(f"{path} holds no row below its header; {remedy}")
-    table: dict[str, list[Any]] = {column: [] for column in columns}
-    for line, row in enumerate(rows, start=2):
-        if len(row) != len(header):
-            raise ReportError(f"{path}, line {line}: {len(row)} values for {len(header)} columns; {remedy}")
-        for column, kind in columns.items():
-            if column in absent:
-                table[column].append("" if kind is None else math.nan)
-                continue
-            text = row[header.index(column)]
-            value = text if kind is None else _number(text)
-            if kind is not None and not kind.allows(value):
-                raise ReportError(f"{path}, line {line}: {column} is {text!r} and must be {kind.words}; {remedy}")
-            table[column].append(value)
-    return table
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text or "nan")
-    except ValueError:
-        return math.inf
-    return value if math.isfinite(value) or not text else math.inf
+        table = csvfile.read(path, columns)
+    except csvfile.CsvError as error:
+        raise ReportError(f"{error}; {_remedy(path)}") from error
+    except OSError as error:
+        raise ReportError(f"{path} cannot be read ({error}); {_remedy(path)}") from error
+    if not table.lines and path.name != "progress.csv":  # a training that has just begun has no row yet
+        raise ReportError(f"{path} holds no row below its header; {_remedy(path)}")
+    return table.values
 
 
 def _remedy(path: Path) -> str:

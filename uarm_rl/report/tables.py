@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from uarm_rl import csvfile
 from uarm_rl.report import statistics
 from uarm_rl.report.records import Method
 
@@ -73,7 +74,7 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 def csv(table: pd.DataFrame) -> bytes:
     """The bytes of a CSV file, with six significant digits."""
-    return table.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
+    return csvfile.content(table.columns, records(table), digits=6)
 
 
 def percent(rate: float, unit: str = " %") -> str:

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl import checks
+from uarm_rl import checks, columns
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import Arm, ArmError, JointPositions, PhysicsError, Target
 from uarm_rl.task.hold import Hold
@@ -18,13 +18,6 @@ from uarm_rl.task.observation import SIZE, Observation, observe
 from uarm_rl.task.reward import DistanceReward, RewardTerms
 
 ACTION_SIZE: Final = 3
-
-#: Columns of ``trace``: one row each time the arm is looked at.
-TRACE_COLUMNS: Final = (
-    *(f"joint{number}_rad" for number in (1, 2, 3)),
-    *(f"cup_{axis}_m" for axis in "xyz"),
-    *(f"object_{axis}_m" for axis in "xyz"),
-)
 
 _LONGEST_S: Final = 3600.0
 
@@ -195,11 +188,11 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def trace(self) -> NDArray[np.float64]:
-        """The last decision, shape (looks, 9), with the columns ``TRACE_COLUMNS``.
+        """The last decision, shape (looks, 9), with the columns ``columns.STATE``.
 
         A look a control step, fewer on an arm that takes several steps to come to rest; none after ``reset``.
         """
-        return np.array(self._trace).reshape(-1, len(TRACE_COLUMNS))
+        return np.array(self._trace).reshape(-1, len(columns.STATE))
 
     def _command(self, action: NDArray[np.float32]) -> bool:
         """Command the joints; true if the reference had to be cut at a limit."""

@@ -5,8 +5,6 @@ A position is the centre of the object's upper surface (m) for an object that re
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from importlib import resources
 from pathlib import Path
@@ -14,11 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from uarm_rl import files
+from uarm_rl import columns, csvfile
 from uarm_rl.task import kinematics
 from uarm_rl.task.kinematics import Vector
-
-COLUMNS: Final = ("x_m", "y_m", "z_m")
 
 #: Nearer than this an object would lie under the elbow, against the base (its corner is 93 mm from the axis), or
 #: below the smallest cup radius that firmware 3.2 allows near the table (118.5 mm, ``get_radius_from_height``).
@@ -77,41 +73,28 @@ def load_named(name: str) -> Vector:
 def load(path: Path) -> Vector:
     """Positions of a CSV file with the columns x_m, y_m, z_m; shape (n, 3).
 
-    Raises :class:`ValueError` with a sentence that names file and row when a column is missing, a value is not a
+    Raises :class:`ValueError` with a sentence that names file and line when a column is missing, a value is not a
     finite number, or the cup cannot reach a position.
     """
-    try:
-        reader = csv.DictReader(io.StringIO(files.read(path).decode(), newline=""))
-        missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-        rows = list(reader)
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} cannot be read ({error}); a positions file has the columns {','.join(COLUMNS)}") from error
-    if missing:
-        raise ValueError(f"{path} lacks the column {missing[0]}; a positions file has the columns {','.join(COLUMNS)}")
-    positions = [_position(path, line, row) for line, row in enumerate(rows, start=2)]
-    if not positions:
+    table = csvfile.read(path, columns.POSITIONS)
+    if not table.lines:
         raise ValueError(f"{path} holds no positions; it needs at least one row below the header")
-    return np.array(positions)
+    positions = np.column_stack([table.values[name] for name in columns.POSITIONS])
+    for line, position in zip(table.lines, positions, strict=True):
+        _check_reachable(path, line, position)
+    return positions
 
 
-def _position(path: Path, line: int, row: dict[str, str | None]) -> list[float]:
-    try:
-        position = [float(row[column] or "") for column in COLUMNS]
-    except ValueError:
-        values = ", ".join(str(row[column]) for column in COLUMNS)
-        raise ValueError(f"{path}, line {line}: ({values}) are not three numbers in metres") from None
+def _check_reachable(path: Path, line: int, position: Vector) -> None:
     if not kinematics.reachable(position):
         x, y, z = position
         raise ValueError(
             f"{path}, line {line}: the cup cannot reach ({x:g}, {y:g}, {z:g}) m within the joint limits; "
             "positions are metres in the base frame, the upper surface of the object"
         )
-    return position
 
 
 def save(path: Path, positions_m: Vector) -> None:
     """Write positions, shape (n, 3), as CSV with micrometres."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows([f"{value:.6f}" for value in row] for row in positions_m)
+    rows = ({name: f"{value:.6f}" for name, value in zip(columns.POSITIONS, row, strict=True)} for row in positions_m.tolist())
+    csvfile.write_rows(path, columns.POSITIONS, rows)

@@ -14,7 +14,7 @@ from uarm_rl.task.policy import Policy
 
 @dataclass(frozen=True)
 class Episode:
-    """What happened. ``trace`` has the state at the start and one row a look (``env.TRACE_COLUMNS``): in simulation a
+    """What happened. ``trace`` has the state at the start and one row a look (``columns.STATE``): in simulation a
     look is a control step, a real arm is looked at when it stands still.
     """
 
