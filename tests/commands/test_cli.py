@@ -110,6 +110,21 @@ def test_a_file_name_alone_is_that_file_in_the_folder_of_every_run(copied):
     assert_refused(uarm_rl(*words, "overwrite=true", "traces=-1", cwd=copied), 2, "traces must be a whole number")
 
 
+def test_traces_that_are_missing_are_made_without_a_second_evaluation(copied):
+    (copied / "two.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.25,-0.1,0.03\n")
+    words = ("evaluate", "run=results/uniform-plain/seed0", "positions=two.csv", "out=o.csv")
+    assert uarm_rl(*words, "traces=1", cwd=copied).returncode == 0
+    first = (copied / "o.csv").read_bytes(), (copied / "o-traces.csv").read_bytes()
+    (copied / "o-traces.csv").unlink()
+    done = uarm_rl(*words, "tolerance_m=0.04", "time_limit_s=1", "traces=1", cwd=copied)
+    assert_refused(done, 2, "o.csv comes from another test than this one")
+    assert not (copied / "o-traces.csv").exists()
+    done = uarm_rl(*words, "traces=1", cwd=copied)
+    assert (done.returncode, "1 positions recorded; o-traces.csv" in done.stdout) == (0, True), done.stderr
+    assert ((copied / "o.csv").read_bytes(), (copied / "o-traces.csv").read_bytes()) == first
+    assert_refused(uarm_rl(*words, "traces=1", cwd=copied), 2, "o.csv exists already; out=FILE writes elsewhere")
+
+
 def test_positions_of_ones_own(trained):
     (trained / "mine.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.25,-0.1,0.03\n")
     run = "run=results/uniform-plain/seed0"

@@ -12,10 +12,11 @@ from __future__ import annotations
 import os
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
-from uarm_rl import checks, columns, workers
+from uarm_rl import checks, columns, csvfile, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose, load_policy, read_run
 from uarm_rl.csvfile import write_rows
@@ -51,12 +52,12 @@ def run(settings: Settings) -> None:
     # The baseline has no training: it does the task of a default one, in a folder beside the runs.
     ik = settings["policy"] == "ik"
     run_dirs = [results_dir / "ik" / "seed0"] if ik else _trained_runs(results_dir)
-    done = [run_dir for run_dir in run_dirs if (run_dir / file).exists() and not settings["overwrite"]]
+    done = [run_dir for run_dir in run_dirs if not _is_due(settings, run_dir / file)]
     for run_dir in run_dirs:
         if run_dir not in done:
             _evaluate_run(settings, run_dir, compose("train") if ik else read_run(run_dir), run_dir / file)
     if done:
-        print(f"evaluated already, {file} is there (overwrite=true evaluates again): {', '.join(map(str, done))}")
+        print(f"evaluated already, {file} is there (out=NAME.csv is for another test): {', '.join(map(str, done))}")
 
 
 def output(settings: Settings) -> Path:
@@ -65,6 +66,26 @@ def output(settings: Settings) -> Path:
     if settings["run"]:
         return file if settings["out"] else checks.path("run", settings["run"]) / file
     return checks.path("results_dir", settings["results_dir"]) / "*" / file
+
+
+def _traces(out: Path) -> Path:
+    return out.with_name(f"{out.stem}-traces.csv")
+
+
+def _is_due(settings: Settings, out: Path) -> bool:
+    """Whether the result, or the traces that are wanted beside it, have still to be made."""
+    wanted = [out, _traces(out)] if checks.integer("traces", settings["traces"], low=0) else [out]
+    return bool(settings["overwrite"]) or not all(path.exists() for path in wanted)
+
+
+def _tested(out: Path) -> list[tuple[float, float]]:
+    """Success and time of each position in a result that is there."""
+    values = csvfile.read(out, columns.pick(columns.EVALUATION, "success", "time_s")).values
+    return list(map(_outcome, values["success"], values["time_s"]))
+
+
+def _outcome(success: Any, time_s: Any) -> tuple[float, float]:
+    return float(success), round(time_s, 6)  # a file has nine digits
 
 
 def _trained_runs(results_dir: Path) -> list[Path]:
@@ -77,8 +98,8 @@ def _trained_runs(results_dir: Path) -> list[Path]:
 
 
 def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out: Path) -> None:
-    if out.exists() and not settings["overwrite"]:
-        raise UsageError(f"{out} exists already; overwrite=true replaces it, out=FILE writes elsewhere")
+    if not _is_due(settings, out):
+        raise UsageError(f"{out} exists already; out=FILE writes elsewhere, overwrite=true replaces it")
     run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
@@ -89,6 +110,9 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     cores = len(os.sched_getaffinity(0))
     processes = cores if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
     traced = checks.integer("traces", settings["traces"], low=0)
+    tested = [] if settings["overwrite"] or not out.exists() else _tested(out)
+    if tested:  # only the traces are missing
+        where = where[:traced]
     common_reward = build("reward", settings["common_reward"])
     control_hz = run_settings["control_hz"]
     conditions = {
@@ -107,8 +131,13 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
         if number < traced:
             traces += trace_rows(number, episode, control_hz=control_hz)
     out.parent.mkdir(parents=True, exist_ok=True)
+    if tested and tested[: len(rows)] != [_outcome(row["success"], row["time_s"]) for row in rows]:
+        raise UsageError(f"{out} comes from another test than this one, so it gets no traces of this; give out=FILE for both")
     if traced:  # first, so that a result that is there has its traces
-        write_rows(out.with_name(f"{out.stem}-traces.csv"), columns.TRACES, traces)
+        write_rows(_traces(out), columns.TRACES, traces)
+    if tested:
+        print(f"{run_dir}: {len(rows)} positions recorded; {_traces(out)}")
+        return
     write_rows(out, columns.EVALUATION, rows)
     successes = sum(bool(row["success"]) for row in rows)
     print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")
