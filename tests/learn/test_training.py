@@ -19,6 +19,7 @@ from uarm_rl import configuration
 from uarm_rl.commands import train as commands_train
 from uarm_rl.evaluation import evaluate
 from uarm_rl.learn import checkpoint
+from uarm_rl.learn import run as learn_run
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
 from uarm_rl.learn.ddpg import DDPG, DivergenceError
 from uarm_rl.learn.run import RunFolderError
@@ -245,3 +246,9 @@ def _explode():
     from uarm_rl.task.arm import ArmError
 
     raise ArmError("the motors are on strike")
+
+
+def test_an_episode_that_takes_long_shows_a_sign_of_life(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(learn_run, "SILENCE_S", 0.0)
+    train(tmp_path, "episodes=1")
+    assert capsys.readouterr().err.count(" 0/1 [") >= 25  # one each decision

@@ -7,8 +7,11 @@ it has finished: that file is what tells a finished run.
 from __future__ import annotations
 
 import math
+import multiprocessing
+import re
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from itertools import takewhile
@@ -32,6 +35,9 @@ _LOCK: Final = ".lock"
 
 #: An actor with more of its outputs saturated than this has hardly any gradient left to learn from.
 SATURATION_LIMIT: Final = 0.9
+
+#: The bar shows a sign of life after so many seconds.
+SILENCE_S: Final = 5.0
 
 Settings = Mapping[str, Any]
 
@@ -181,7 +187,7 @@ def run(
                 checkpoint.write(run_dir, snapshot())
                 on_disk = episode
 
-        train(learner, schedule, end_of_episode, stop)
+        train(learner, schedule, bar.tick, end_of_episode, stop)
         if episode > on_disk:
             checkpoint.write(run_dir, snapshot())
     if episode < schedule.episodes:
@@ -217,6 +223,13 @@ class _Bar:
     def write(self, text: str) -> None:
         self._bar.write(text, file=sys.stderr)
 
+    def tick(self) -> None:
+        """Show that time passes where an episode takes long, as with large batches."""
+        now = time.time()
+        if now - self._bar.last_print_t >= SILENCE_S:
+            self._bar.last_print_t = now
+            self._bar.refresh()
+
     def show(self, row: dict[str, object]) -> None:
         if "validation_success_rate" in row:
             self._validation = f"{row['validation_success_rate']:.0%}"
@@ -242,11 +255,18 @@ def _progress_bar(run_dir: Path, schedule: Schedule, counters: Counters) -> Iter
         initial=counters.episode,
         desc=f"{run_dir.parent.name}/{run_dir.name}",  # several may run side by side
         unit="episode",
+        position=_line(),
         dynamic_ncols=True,
         mininterval=0.5,
         smoothing=0.1,
     ) as bar:
         yield _Bar(bar, counters)
+
+
+def _line() -> int | None:
+    """The line of the terminal that a bar takes: beside each other, the processes of a launcher have one each."""
+    number = re.search(r"-(\d+)$", multiprocessing.current_process().name)
+    return int(number[1]) - 1 if number and sys.stderr.isatty() else None
 
 
 @contextmanager

@@ -41,7 +41,13 @@ class Stop:
     requested = False
 
 
-def train(learner: Learner, schedule: Schedule, end_of_episode: Callable[[dict[str, object]], None], stop: Stop) -> None:
+def train(
+    learner: Learner,
+    schedule: Schedule,
+    end_of_decision: Callable[[], None],
+    end_of_episode: Callable[[dict[str, object]], None],
+    stop: Stop,
+) -> None:
     """Train until the schedule's last episode, or until a stop is requested: then in the middle of an episode.
 
     One gradient step per stored experience, taken while the arm carries out the next decision. An episode ends when its
@@ -82,6 +88,7 @@ def train(learner: Learner, schedule: Schedule, end_of_episode: Callable[[dict[s
             object_losses += info["object_lost"]
             explosions += info["exploded"]
             observation = env.reset(home=info["exploded"]) if terminated or truncated else next_observation
+            end_of_decision()
 
         counters.episode += 1
         counters.wall_s += time.perf_counter() - began
