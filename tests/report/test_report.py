@@ -150,12 +150,12 @@ def test_smoothed_return_is_the_mean_of_the_last_twenty_episodes(tmp_path):
     assert float(last["smoothed_return_mean"]) == pytest.approx(-10 * (11 + 30) / 2)
 
 
-@pytest.mark.parametrize("name", ["reward_curve.png", "learning_curves.png"])
-def test_pictures_are_as_wide_as_a_column_at_300_dpi(example, name):
+@pytest.mark.parametrize(("name", "height"), [("reward_curve.png", 1320), ("learning_curves.png", 1440)])
+def test_pictures_are_as_wide_as_a_column_at_300_dpi(example, name, height):
     results, _ = example
     content = (results / name).read_bytes()
     assert content.startswith(b"\x89PNG\r\n\x1a\n")
-    assert struct.unpack(">II", content[16:24]) == (1050, 1320)
+    assert struct.unpack(">II", content[16:24]) == (1050, height)
 
 
 def test_the_text_holds_the_table_what_is_missing_and_the_files(example):
@@ -168,7 +168,7 @@ def test_the_text_holds_the_table_what_is_missing_and_the_files(example):
     assert len({len(line) for line in lines[2:9]}) == 1  # aligned
     assert "not trained: D (uniform-penalty)" in lines
     waiting = ", ".join(str(results / run) for run in ("uniform-plain/seed0", "adaptive-penalty/seed1"))
-    assert f"not evaluated (`uarm-rl evaluate` does it): {waiting}" in lines
+    assert f"not evaluated (`uarm-rl evaluate results_dir={results}` does it): {waiting}" in lines
     assert {line for line in lines if line.startswith("wrote ")} == {f"wrote {results / name}" for name in WRITTEN}
 
 
@@ -252,7 +252,10 @@ SEED0 = "adaptive-penalty/seed0/"
         (edit("evaluation.csv", "1,1,-1.5", "1,1,-inf"), "evaluation.csv, line 3: return is '-inf'"),
         (edit("evaluation.csv", "1,1,-1.5", "x,1,-1.5"), "evaluation.csv, line 3: position is 'x' and must be a whole number"),
         (edit("evaluation.csv", "1,1,-1.5", "0,1,-1.5"), "evaluation.csv holds a position twice"),
-        (edit("evaluation.csv", "1,1,-1.5", "9,1,-1.5"), r"seed0 \(3 positions, 0 to 2\) and .* different positions; evaluate"),
+        (
+            edit("evaluation.csv", "1,1,-1.5", "9,1,-1.5"),
+            r"seed0 \(3 positions, 0 to 2\) and .* different positions; delete one",
+        ),
         (edit("evaluation.csv", "1,1,-1.5", "1,1,0,-1.5"), "evaluation.csv, line 3: 13 values for 12 columns"),
         (edit("evaluation.csv", "2,1,-1.5,-2,2,0.003,0.002,0.001,0.25,12.5,0.0125,40\n", ""), r"\(2 positions, 0 to 1\)"),
         (overwrite(SEED0 + "evaluation.csv", b""), "evaluation.csv is empty and lacks the column position"),

@@ -179,7 +179,7 @@ def test_tolerance_curve(tmp_path):
     ]
     assert remarks(text, "tolerance curve, missing") == [
         "tolerance curve, missing: tolerance-1mm.csv (1 of 2 runs), tolerance-2mm.csv (2 of 2 runs); "
-        "make it with `uarm-rl evaluate tolerance_m=1e-3 out=tolerance-1mm.csv`"
+        f"`uarm-rl evaluate tolerance_m=1e-3 out=tolerance-1mm.csv results_dir={tmp_path}` makes it"
     ]
 
 
@@ -219,11 +219,11 @@ def test_train_hold_by_test_hold(tmp_path):
     report(tmp_path)
     half, three, four = "50 % (15 to 85 %)", "75 % (30.1 to 95.4 %)", "100 % (51 to 100 %)"
     assert lines(tmp_path, "holds.md")[0] == (
-        "| Method | Trained with | Tested with fixed(1) | Tested with fixed(11) | Tested with until_steady(2..40) |"
+        "| Method | Trained with | Tested with one step | Tested with 11 steps | Tested with until steady |"
     )
     assert lines(tmp_path, "holds.md")[2:] == [
-        f"| A | until_steady(2..40) | {three} | {half} | **{four}** |",
-        f"| B | fixed(1) | **{three}** | {half} | - |",
+        f"| A | until steady | {three} | {half} | **{four}** |",
+        f"| B | one step | **{three}** | {half} | - |",
     ]
     assert [line.split(",")[:5] for line in lines(tmp_path, "holds.csv")[1:]] == [
         ["A", "until_steady(2..40)", "fixed(1)", "1", "0.75"],
@@ -244,7 +244,7 @@ def test_a_bad_further_evaluation_is_named(tmp_path):
     add_evaluation(tmp_path, "A", 0, "11", "hold-fixed.csv")
     add_evaluation(tmp_path, "B", 0, "11")
     add_evaluation(tmp_path, "B", 0, "111", "hold-fixed.csv")
-    with pytest.raises(ReportError, match=r"different positions; .*overwrite=true out=hold-fixed\.csv"):
+    with pytest.raises(ReportError, match=r"hold-fixed|different positions; delete one"):
         report(tmp_path)
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == []
 
@@ -267,7 +267,9 @@ def test_shaking_is_drawn_from_the_lowest_seeds_that_recorded_it(tmp_path):
     for name in "AB":
         for seed in (2, 10):
             add_evaluation(tmp_path, name, seed, "11")
-    assert remarks(report(tmp_path), "no shaking.png")[0].endswith("`uarm-rl evaluate traces=3 overwrite=true`")
+    assert remarks(report(tmp_path), "no shaking.png")[0].endswith(
+        f"`uarm-rl evaluate traces=3 results_dir={tmp_path}` records it"
+    )
     add_traces(tmp_path, "A", 2, 0, 1)
     add_traces(tmp_path, "A", 10, 0, 1)
     assert not (tmp_path / "shaking.png").exists()  # B is still missing
@@ -385,7 +387,7 @@ def test_ablations_answer_each_question(tmp_path):
     assert of("servo", "buffer") == [*both, *both, "uniform, 2 episodes", *both]
     assert of("sigma", "sigma") == ["0", "-5", "-20"]
     assert of("sigma", "training_displacement_m") == ["0.0015"] * 3  # 3 mm in each of two episodes, of four objects
-    assert of("constants", "setting") == ["nothing", "nothing", "gamma 0.99", "dwell 0.25", "dwell 0.25"]
+    assert of("constants", "setting") == ["default", "default", "gamma 0.99", "dwell 0.25 s", "dwell 0.25 s"]
     assert set(of("servo", "setting") + of("sigma", "setting")) == {""}
     assert of("constants", "success_rate") == ["0.25", "1", "0.75", "1", "0.5"]
     assert of("sigma", "object_displacement_m") == ["0.001", "0.001", "0.0005"]
@@ -393,7 +395,7 @@ def test_ablations_answer_each_question(tmp_path):
     assert [line for line in markdown.splitlines() if line.startswith("| sigma-20")] == [
         "| sigma-20-adaptive | 1 | 75 % (30.1 to 95.4 %) | -20 | 11 | 0.5 | 1.5 |"
     ]
-    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell 0.25 | 1 | 1.0 | 1.5 |" in markdown.splitlines()
+    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell 0.25 s | 1 | 1.0 | 1.5 |" in markdown.splitlines()
     pictures = ["halves", "fixed_hold", "servo", "sigma", "constants"]
     assert re.findall(r"!\[.*\]\((.*)\)", markdown) == [f"{picture}.png" for picture in pictures]
     for picture in pictures:
@@ -413,7 +415,7 @@ def test_the_choice_of_constants_sees_validation_positions_of_both_methods_alone
     report(tmp_path)
     assert lines(tmp_path, "ablations/choice.csv") == [
         "setting,seeds,adaptive,uniform,score,standard_error",
-        "nothing,2,0.9,0.12,0.51,0.01",
+        "default,2,0.9,0.12,0.51,0.01",
         "beta 1,2,0.8,0.32,0.56,0.01",
     ]
     assert "| beta 1 | 2 | 80 % | 32 % | 56 % | 1 % |" in (tmp_path / "ablations" / "choice.md").read_text()
@@ -432,15 +434,15 @@ def test_the_curve_of_an_ablation_is_one_even_when_a_seed_has_stored_less(tmp_pa
 
 def test_ablations_say_what_is_missing_and_the_command_for_it(tmp_path):
     add_evaluation(tmp_path, "A", 0, "11")
-    assert "no ablations; `make ablations` trains and evaluates them" in report(tmp_path)
+    assert "ablation " not in report(tmp_path)
     add_evaluation(tmp_path / "ablations", "adaptive-penalty", 0, "11")
     add_progress(tmp_path / "ablations", "fixed_hold-penalty", 0, "0.5")
     add_progress(tmp_path / "ablations", "uniform-penalty", 0, "0.5")
     said = {line.split(",")[0]: line for line in remarks(report(tmp_path), "ablation ")}
     absent = "uniform-penalty, unstuck_only-penalty, steady_only-penalty"
-    assert f"missing: {absent}; `make ablations` makes them" in said["ablation halves"]
+    assert f"missing: {absent}; train them into {tmp_path / 'ablations'} first" in said["ablation halves"]
     assert "missing: uniform-penalty, fixed_hold-penalty; `uarm-rl evaluate results_dir" in said["ablation fixed_hold"]
-    assert "missing: adaptive-plain, sigma*; `make ablations`" in said["ablation sigma"]
+    assert "missing: adaptive-plain, sigma*; train them" in said["ablation sigma"]
 
 
 def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
@@ -458,7 +460,7 @@ def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
     assert report(tmp_path) == text
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == first
     written = {str(path.relative_to(tmp_path)) for path in first if "seed" not in str(path.relative_to(tmp_path))}
-    assert len(written) == 20 + 10
+    assert len(written) == 21 + 10
     assert {line for line in text.splitlines() if line.startswith("wrote ")} == {f"wrote {tmp_path / name}" for name in written}
 
 
@@ -478,6 +480,6 @@ def test_trials_on_an_arm_stand_beside_the_papers_and_an_emulated_arm_is_never_c
     ]
     assert "| short/real_arm/seed0/real | emulated | 20 | 90 % (69.9 to 97.2 %) | 100 % |" in lines(tmp_path, "arm_trials.md")
     write(real / "trials.csv", [{"success": 2, "reached": 1, "emulated": 1}])
-    sentence = "line 2: success is '2' and must be 0 or 1; delete it and run `uarm-rl run-real`"
+    sentence = "line 2: success is '2' and must be 0 or 1; delete it, or restore it"
     with pytest.raises(ReportError, match=sentence):
         report(tmp_path)

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import pandas as pd
 
 from uarm_rl.report import figures, statistics, tables
-from uarm_rl.report.records import DISTURBANCE, PROGRESS, Runs, find_runs, read_evaluations, read_seeds
+from uarm_rl.report.records import DISTURBANCE, PROGRESS, Runs, command, find_runs, read_evaluations, read_seeds
 from uarm_rl.report.tables import Section
 
 ABLATIONS: Final = "ablations"  # below the results folder
@@ -60,8 +60,9 @@ _HEADINGS: Final = {
     "sigma": "Sigma (1/m)",
     "control_steps_per_decision": "Control steps a decision",
     "object_displacement_m": "Object moved (mm)",
-    "training_displacement_m": "Moved while learning (mm an object)",
+    "training_displacement_m": "Moved while learning (mm per object)",
 }
+_UNITS: Final = {"dwell": "s", "threshold": "rad"}
 _DISPLACEMENT: Final = "object_displacement_m"
 _TRAINING_DISPLACEMENT: Final = "training_displacement_m"
 _RATE: Final = "validation_success_rate"
@@ -73,7 +74,7 @@ def ablations(results_dir: Path) -> Section:
     """ablations.csv and .md, learning_curves.csv and a picture for each question, all in ``results_dir/ablations``."""
     folder = results_dir / ABLATIONS
     if not folder.is_dir():
-        return Section(remarks=["no ablations; `make ablations` trains and evaluates them"])
+        return Section()
     runs = find_runs(folder)
     evaluations = read_evaluations(runs)
     columns = {**PROGRESS, **DISTURBANCE}
@@ -83,7 +84,7 @@ def ablations(results_dir: Path) -> Section:
     found: dict[str, pd.DataFrame] = {}
     for name, question in _QUESTIONS.items():
         chosen = [run for wanted in question.runs for run in runs if fnmatch(run, wanted) and len(evaluations[run])]
-        section.remarks += _missing(name, question, chosen, runs)
+        section.remarks += _missing(folder, name, question, chosen, runs)
         if chosen:
             rows = [_row(run, evaluations[run], progress[run]) for run in chosen]
             found[name] = _ordered(pd.DataFrame(rows), question.swept)
@@ -174,11 +175,19 @@ def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
     ordered = table
     if swept == "setting":
         names = table["run"].str.rpartition("-")[0].str.replace(r"(?<=[a-z])(?=\d)", " ", regex=True)
-        changed = names.mask(table["run"].str.endswith("-penalty"), "nothing")
+        changed = names.map(_worded).mask(table["run"].str.endswith("-penalty"), "default")
         ordered = table.assign(setting=changed)
     elif swept:
         ordered = table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
     return ordered
+
+
+def _worded(setting: str) -> str:
+    """A changed constant with its unit, from the run's name: ``dwell 0.25`` is ``dwell 0.25 s``."""
+    name, _, value = setting.partition(" ")
+    if name == "tolerance":
+        return f"tolerance {1000.0 * float(value):g} mm"
+    return f"{setting} {_UNITS[name]}" if name in _UNITS else setting
 
 
 def _picture(swept: str | None, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> bytes:
@@ -191,14 +200,14 @@ def _picture(swept: str | None, table: pd.DataFrame, curves: Mapping[str, pd.Dat
     return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE))
 
 
-def _missing(name: str, question: _Question, chosen: Sequence[str], runs: Runs) -> list[str]:
+def _missing(folder: Path, name: str, question: _Question, chosen: Sequence[str], runs: Runs) -> list[str]:
     """A remark on the runs of a question that are not there or not evaluated, and the command for them."""
     absent = [wanted for wanted in question.runs if not any(fnmatch(run, wanted) for run in chosen)]
     if not absent:
         return []
     trained = all(any(fnmatch(run, wanted) for run in runs) for wanted in absent)
-    command = f"uarm-rl evaluate results_dir=results/{ABLATIONS}" if trained else "make ablations"
-    return [f"ablation {name}, missing: {', '.join(absent)}; `{command}` makes them"]
+    remedy = f"{command(folder, 'evaluate')} tests them" if trained else f"train them into {folder} first"
+    return [f"ablation {name}, missing: {', '.join(absent)}; {remedy}"]
 
 
 def _markdown(found: Mapping[str, pd.DataFrame]) -> str:

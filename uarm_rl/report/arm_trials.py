@@ -22,7 +22,7 @@ def arm_trials(results_dir: Path) -> Section:
     An emulated arm is never called real: the files themselves say which it was.
     """
     rows = []
-    for path in sorted(results_dir.glob("**/seed*/real*/trials.csv")):
+    for path in sorted(results_dir.glob("**/trials.csv")):
         trials = pd.DataFrame(read(path, TRIALS))
         for emulated, same in trials.groupby("emulated"):
             arm = "emulated" if emulated else "real"

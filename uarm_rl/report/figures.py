@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from uarm_rl.report.records import Method
 
 #: The buffers of the ablations, in further colours of Okabe and Ito; the paper's two as in methods C and D.
+_LINES: Final = ("-", "--", "-.", ":")
 _BUFFERS: Final = {
     "adaptive": "#009E73",
     "uniform": "#CC79A7",
@@ -47,17 +48,25 @@ def picture(draw: Callable[[Figure], None], height_in: float = 4.4) -> bytes:
 
 
 def draw_rewards(figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame]) -> None:
-    """The paper's Fig. 3, one row of panels a method: over each other, four curves of 100 points hide each other."""
-    grid = figure.subplots(len(methods), 2, sharex=True, sharey="col")
+    """The paper's Fig. 3, one row of panels a method: over each other, four times 100 points hide each other.
+
+    The positions have no order, so the points are not joined.
+    """
+    grid = figure.subplots(len(methods), 2, sharex=True, sharey="col", squeeze=False)
     for method, row in zip(methods, grid, strict=True):
         for axes, value in zip(row, ("common_return", "return"), strict=True):
-            _draw(axes, method, curves[method.folder], "position", value)
-            axes.axhline(curves[method.folder][f"{value}_mean"].mean(), color="black", linewidth=0.6, linestyle="--")
-            _mark_empty(axes, "not evaluated")
+            if value == "return" and not method.reward:
+                axes.set_axis_off()  # a controller has no reward of its own
+                continue
+            curve = curves[method.folder]
+            low, high = curve[f"{value}_min"], curve[f"{value}_max"]
+            axes.vlines(curve["position"], low, high, color=method.colour, linewidth=0.6, alpha=0.5)
+            axes.plot(curve["position"], curve[f"{value}_mean"], color=method.colour, marker=".", markersize=2, linestyle="")
+            axes.axhline(curve[f"{value}_mean"].mean(), color="black", linewidth=0.6, linestyle="--")
         row[0].set_ylabel(method.label, rotation=0, weight="bold", ha="right", va="center")
-    grid[0, 0].set_title("same reward for all methods")
-    grid[0, 1].set_title("method's own reward")
-    figure.supxlabel("Test position (number)")
+    grid[0, 0].set_title("same reward for all, a\nsum over control steps:\nhaste, not success")
+    grid[0, 1].set_title("method's own reward,\na sum over its decisions")
+    figure.supxlabel("Test position (number); point: mean of seeds, bar: their range")
     figure.supylabel("Return (sum of rewards, no unit); dashed: mean over positions")
 
 
@@ -69,13 +78,12 @@ def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str
     for axes, value in ((above, "validation_success_rate"), (below, "smoothed_return")):
         for method in methods:
             _draw(axes, method, curves[method.folder], "experiences", value)
-        _mark_empty(axes, "no data of A, B, C or D")
-    _success_axis(above, "Success on validation positions (%)")
-    below.set(ylabel=f"Return of a training episode\n(own reward, mean of {smoothed_over} episodes)")
+    _success_axis(above, "Success on\nvalidation positions (%)")
+    below.set(ylabel=f"Return of a training episode\n(own, mean of {smoothed_over} episodes; symlog:\nlinear from -10 to 10)")
     below.set_yscale("symlog", linthresh=10.0)  # the first episodes go far down
     below.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=10.0, subs=(1.0, 2.0, 5.0)))
     below.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    below.set(xlabel="Stored experiences (thousands)")
+    below.set(xlabel="Stored experiences (thousands)\nline: mean of seeds, band: their range")
     below.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
 
 
@@ -84,8 +92,7 @@ def draw_tolerance(figure: Figure, methods: Sequence[Method], table: pd.DataFram
     axes = figure.subplots()
     for method in methods:
         rows = table[table["method"] == method.label]
-        label = f"{method.label}: {method.buffer}, {method.reward}"
-        _points(axes, 1000.0 * rows["tolerance_m"], rows, method.colour, label)
+        _points(axes, 1000.0 * rows["tolerance_m"], rows, method.colour, method.words, method.line)
     axes.set(xlabel="Tolerance (mm)", xscale="log")
     _ticks(axes, sorted({1000.0 * tolerance_m for tolerance_m in table["tolerance_m"]}))
     _success_axis(axes, "Success on the test positions (%)")
@@ -127,7 +134,7 @@ def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, posit
     for number, (method, trace) in enumerate(traces.items()):
         target = trace[["object_x_m", "object_y_m", "object_z_m"]].to_numpy()
         tip = 1000.0 * (trace[["cup_x_m", "cup_y_m", "cup_z_m"]].to_numpy() - target[0])
-        above[number].set_title(f"{method.label}: {method.buffer}, {method.reward}")
+        above[number].set_title(method.words)
         above[number].plot(tip[:, 0], tip[:, 1], color=method.colour, linewidth=0.6, marker=".", markersize=1.5)
         above[number].plot(*(1000.0 * (target[[-1], :2] - target[0, :2]).T), "k+", markersize=5)
         above[number].set(xlim=(-40, 40), ylim=(-40, 40), xlabel="x from the object (mm)", aspect="equal")
@@ -139,7 +146,7 @@ def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, posit
         joints[number].set(xlabel="Time (s)")
     above[0].set(ylabel="y from the object (mm)")
     beside[0].set(ylabel="Height above\nthe object (mm)")
-    joints[0].set(ylabel="Joints 1 (solid),\n2 (dashed), 3 (°)")
+    joints[0].set(ylabel="Joints 1 (solid),\n2 (dashed),\n3 (dotted) (°)")
     figure.suptitle(f"Test position {position}; +: the object at the end", fontsize=7)
 
 
@@ -163,8 +170,9 @@ def draw_runs(figure: Figure, table: pd.DataFrame, curves: Mapping[str, pd.DataF
 def draw_servo_sweep(figure: Figure, table: pd.DataFrame) -> None:
     """Success of waiting and not waiting for servos from instant to slow."""
     axes = figure.subplots()
-    for buffer, rows in table.groupby("buffer"):
-        _points(axes, rows["servo_rise_s"], rows, _BUFFERS.get(str(buffer), "black"), str(buffer))
+    for number, (buffer, rows) in enumerate(table.groupby("buffer")):
+        aside = 1.04 ** (number - 1)  # bars at one place would hide each other
+        _points(axes, aside * rows["servo_rise_s"], rows, _BUFFERS.get(str(buffer), "black"), str(buffer), _LINES[number % 4])
     axes.set(xlabel="Rise time of the servo, 10 to 90 % (s)", xscale="log")
     _ticks(axes, sorted(set(table["servo_rise_s"].dropna())))
     _success_axis(axes, "Success on the test positions (%)")
@@ -176,10 +184,12 @@ def draw_settings(figure: Figure, table: pd.DataFrame) -> None:
     settings = list(dict.fromkeys(table["setting"]))
     for buffer, rows in table.groupby("buffer"):
         colour = _BUFFERS.get(str(buffer), "black")
-        places = pd.Series([settings.index(setting) for setting in rows["setting"]])
-        _points(axes, places, rows, colour, str(buffer), line="")
+        places = pd.Series([settings.index(setting) for setting in rows["setting"]], index=rows.index)
+        several = rows["seeds"] > 1
+        _points(axes, places[several], rows[several], colour, str(buffer), line="")
+        _points(axes, places[~several], rows[~several], colour, f"{buffer}, one seed", line="", fill="none")
     axes.set_xticks(range(len(settings)), settings, rotation=30, ha="right")
-    axes.set(xlabel="Changed")
+    axes.set(xlabel="The constant that is not its default")
     _success_axis(axes, "Success on the test positions (%)")
 
 
@@ -189,25 +199,28 @@ def draw_sigma_sweep(figure: Figure, table: pd.DataFrame) -> None:
     places = pd.Series(range(len(table)))
     colour = _BUFFERS["adaptive"]
     learning.plot(places, 1000.0 * table["training_displacement_m"], color=colour, marker=".")
-    learning.set(ylabel="Moved while learning\n(mm an object)", ylim=(0, None))
+    learning.set(ylabel="Moved while learning\n(mm per object)", ylim=(0, None))
     millimetres = 1000.0 * table["object_displacement_m"].to_numpy()
     below = millimetres - 1000.0 * table["object_displacement_low"].to_numpy()
     over = 1000.0 * table["object_displacement_high"].to_numpy() - millimetres
     tested.errorbar(places, millimetres, yerr=(below.clip(0), over.clip(0)), color=colour, marker=".", capsize=2)
-    tested.set(ylabel="Moved in the test\n(mm an object)", ylim=(0, None))
+    tested.set(ylabel="Moved in the test\n(mm per object)", ylim=(0, None))
     _points(success, places, table, colour, "")
     success.set_xticks(places, [f"{sigma:g}" for sigma in table["sigma"]])
     success.set(xlabel="Sigma (1/m)")
     _success_axis(success, "Success on the\ntest positions (%)")
 
 
-def _points(axes: Axes, x: pd.Series[float], rows: pd.DataFrame, colour: str, label: str, line: str = "-") -> None:
+def _points(
+    axes: Axes, x: pd.Series[float], rows: pd.DataFrame, colour: str, label: str, line: str = "-", fill: str = "full"
+) -> None:
     """Success rates with their 95 % intervals, joined by ``line``."""
     if len(rows):
         rate = rows["success_rate"].to_numpy()
         below, over = rate - rows["ci_low"].to_numpy(), rows["ci_high"].to_numpy() - rate
         spread = (below.clip(0), over.clip(0))
-        bars = axes.errorbar(x, rate, yerr=spread, color=colour, marker=".", linestyle=line, capsize=2, elinewidth=0.6)
+        bars = axes.errorbar(x, rate, yerr=spread, color=colour, marker="o", linestyle=line, capsize=2, elinewidth=0.6)
+        bars[0].set(fillstyle=fill, markersize=2.5)
         bars.set_label(label)
 
 
@@ -226,12 +239,7 @@ def _draw(axes: Axes, method: Method, curve: pd.DataFrame, x: str, value: str) -
     """The mean over seeds as a line, in a band from the smallest to the largest seed."""
     curve = curve.dropna(subset=[f"{value}_mean"])
     if len(curve):
-        label = f"{method.label}: {method.buffer}, {method.reward}"
         marker = "." if len(curve) < 100 else ""  # a line of one point would not be seen
-        axes.plot(curve[x], curve[f"{value}_mean"], color=method.colour, marker=marker, markersize=2, label=label)
+        (drawn,) = axes.plot(curve[x], curve[f"{value}_mean"], color=method.colour, linestyle=method.line, label=method.words)
+        drawn.set(marker=marker, markersize=2)
         axes.fill_between(curve[x], curve[f"{value}_min"], curve[f"{value}_max"], color=method.colour, alpha=0.25, linewidth=0)
-
-
-def _mark_empty(axes: Axes, words: str) -> None:
-    if not axes.collections:
-        axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", backgroundcolor="white")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import pandas as pd
+import yaml
 
-from uarm_rl import columns, csvfile
+from uarm_rl import columns, csvfile, files
 from uarm_rl.columns import Columns, pick
 
 #: The folders of the runs of each name, in the order of their seeds.
@@ -32,19 +34,29 @@ class Method(NamedTuple):
     folder: str
     buffer: str = ""
     reward: str = ""
-    colour: str = ""
+    colour: str = "#000000"
+    line: str = "-"
+
+    @property
+    def words(self) -> str:
+        """What a legend says of it."""
+        parts = [self.buffer, self.reward] if self.buffer else []
+        return f"{self.label}: {', '.join(parts)}" if parts else self.label
 
 
-#: The paper's four methods, in colours of Okabe and Ito (2008) that colour-blind readers can tell apart.
+#: The paper's four methods, in colours of Okabe and Ito (2008) that colour-blind readers can tell apart, and in lines that
+#: can be told apart in grey.
 METHODS: Final = (
-    Method("A", "adaptive-plain", "adaptive", "plain", "#0072B2"),
-    Method("B", "uniform-plain", "uniform", "plain", "#E69F00"),
-    Method("C", "adaptive-penalty", "adaptive", "penalty", "#009E73"),
-    Method("D", "uniform-penalty", "uniform", "penalty", "#CC79A7"),
+    Method("A", "adaptive-plain", "adaptive", "plain", "#0072B2", "-"),
+    Method("B", "uniform-plain", "uniform", "plain", "#E69F00", "--"),
+    Method("C", "adaptive-penalty", "adaptive", "penalty", "#009E73", "-."),
+    Method("D", "uniform-penalty", "uniform", "penalty", "#CC79A7", ":"),
 )
-INVERSE_KINEMATICS: Final = Method("IK", "ik")
+INVERSE_KINEMATICS: Final = Method("IK", "ik", colour="#000000", line=":")
 #: Method C trained against the firmware's own motion.
-REAL_ARM: Final = Method("real_arm", "real_arm", "adaptive", "penalty")
+REAL_ARM: Final = Method("real_arm", "real_arm", "adaptive", "penalty", "#D55E00", "-")
+#: Colours and lines of other runs, again and again.
+_OTHERS: Final = (("#56B4E9", "-"), ("#F0E442", "--"), ("#777777", "-."), ("#8C564B", ":"))
 
 #: Columns that say how restless an arm is: heading in the printed tables, factor to the heading's unit, decimals.
 SHAKING: Final = {
@@ -66,9 +78,9 @@ TRACES: Final = pick(columns.TRACES, "position", "time_s", *columns.STATE)
 TRIALS: Final = pick(columns.TRIALS, "success", "reached", "emulated")
 
 _REMEDIES: Final = {
-    "evaluation.csv": "delete it and run `uarm-rl evaluate`",
-    "progress.csv": "restore it, or train again with `uarm-rl train overwrite=true`",
-    "trials.csv": "delete it and run `uarm-rl run-real`",
+    "evaluation.csv": "delete it and evaluate the run again",
+    "progress.csv": "restore it, or train again under another name",
+    "trials.csv": "delete it, or restore it",
     "paper.csv": "restore it, or delete it to use the packaged one",
 }
 
@@ -91,10 +103,30 @@ def seed_number(folder: Path) -> int:
 
 
 def methods(runs: Runs) -> list[Method]:
-    """The paper's four, run or not; then whatever else was run."""
+    """The paper's four, run or not; then whatever else was run, with the buffer and the reward of its configuration."""
     others = [method for method in (INVERSE_KINEMATICS, REAL_ARM) if method.folder in runs]
     known = {method.folder for method in (*METHODS, *others)}
-    return [*METHODS, *others, *(Method(folder, folder) for folder in sorted(set(runs) - known))]
+    own = [
+        Method(name, name, *_buffer_and_reward(runs[name][0]), *_OTHERS[number % len(_OTHERS)])
+        for number, name in enumerate(sorted(set(runs) - known))
+    ]
+    return [*METHODS, *others, *own]
+
+
+def _buffer_and_reward(folder: Path) -> tuple[str, str]:
+    """The names of both in a run's configuration; empty where it does not tell."""
+    try:
+        settings = yaml.safe_load(files.read(folder / files.CONFIG, at_most=1 << 20))
+        buffer, reward = (settings[group]["name"] for group in ("buffer", "reward"))
+    except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError):
+        return "", ""
+    return (buffer, reward) if isinstance(buffer, str) and isinstance(reward, str) else ("", "")
+
+
+def command(results_dir: Path, words: str) -> str:
+    """A command of this program for these results, as a user can paste it."""
+    where = "" if results_dir == Path("results") else f" results_dir={shlex.quote(str(results_dir))}"
+    return f"`uarm-rl {words}{where}`"
 
 
 def read_seeds(folders: Sequence[Path], file: str, columns: Columns) -> pd.DataFrame:
@@ -119,8 +151,7 @@ def read_evaluations(runs: Runs, file: str = "evaluation.csv") -> dict[str, pd.D
                 raise ReportError(f"{path} holds a position twice; {_remedy(path)}")
             if numbers != first[1]:
                 spans = [f"{p.parent} ({len(n)} positions, {n[0]:g} to {n[-1]:g})" for p, n in (first, (path, numbers))]
-                command = "uarm-rl evaluate overwrite=true" + (f" out={file}" if file != "evaluation.csv" else "")
-                remedy = f"evaluate all runs on the same positions with `{command}`"
+                remedy = "delete one of the two files and evaluate its run as the other one was"
                 raise ReportError(f"{' and '.join(spans)} were evaluated on different positions; {remedy}")
     return evaluations
 

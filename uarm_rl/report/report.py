@@ -25,6 +25,7 @@ from uarm_rl.report.records import (
     Method,
     ReportError,
     Runs,
+    command,
     find_runs,
     methods,
     read,
@@ -58,7 +59,7 @@ def report(results_dir: Path) -> str:
     """Rebuild the tables and pictures in ``results_dir`` from the CSV files below it; returns Table 1 to print.
 
     Reads ``<name>/seed<k>/progress.csv``, ``evaluation.csv`` and the other evaluations there, ``paper.csv`` (if absent,
-    the packaged one), and the runs in ``ablations/``. The pictures show methods A to D, the tables every run. Raises
+    the packaged one), and the runs in ``ablations/``. Tables and pictures show every run that is there. Raises
     :class:`ReportError`, with nothing written, if a file cannot be used.
     """
     found = find_runs(results_dir)
@@ -77,16 +78,16 @@ def report(results_dir: Path) -> str:
                 "table1.csv": tables.csv(pd.DataFrame(table)),
                 "table1.md": f"{tables.markdown(_HEADINGS, cells, left=3)}\n{CAPTION}\n".encode(),
             },
-            _remarks(runs),
+            _remarks(results_dir, runs),
         ),
         _rewards(shown, evaluations),
         _learning(shown, progress),
-        _shaking(runs),
+        _shaking(results_dir, runs),
         comparisons(evaluations),
         budgets(shown, progress, evaluations),
-        tolerance(shown, runs, evaluations),
-        held_out(shown, runs, evaluations),
-        holds(shown, runs, evaluations),
+        tolerance(results_dir, shown, runs, evaluations),
+        held_out(results_dir, shown, runs, evaluations),
+        holds(results_dir, shown, runs, evaluations),
         ablations(results_dir),
         arm_trials(results_dir),
     ]
@@ -125,13 +126,13 @@ def _cells(row: Mapping[str, Any], *, trained: int) -> list[str]:
     ]
 
 
-def _remarks(runs: Runs) -> list[str]:
+def _remarks(results_dir: Path, runs: Runs) -> list[str]:
     """What the table cannot show because it was not run."""
     absent = [f"{method.label} ({method.folder})" for method in METHODS if not runs[method.folder]]
     waiting = [str(_shown(run)) for seeds in runs.values() for run in seeds if not (run / "evaluation.csv").exists()]
     return [
         *([f"not trained: {', '.join(absent)}"] if absent else []),
-        *([f"not evaluated (`uarm-rl evaluate` does it): {', '.join(waiting)}"] if waiting else []),
+        *([f"not evaluated ({command(results_dir, 'evaluate')} does it): {', '.join(waiting)}"] if waiting else []),
     ]
 
 
@@ -141,10 +142,15 @@ def _remarks(runs: Runs) -> list[str]:
 def _rewards(shown: Sequence[Method], evaluations: Mapping[str, pd.DataFrame]) -> Section:
     """The paper's Fig. 3: the reward of each method on each test position."""
     curves = {folder: tables.over_seeds(rows, "position", RETURNS) for folder, rows in evaluations.items()}
+    drawn = [method for method in shown if len(curves[method.folder])]
+    if not drawn:
+        return Section(remarks=["no reward figure: no run has been evaluated yet"])
     return Section(
         {
             "reward_curve.csv": tables.csv(tables.stacked(shown, curves)),
-            "reward_curve.png": figures.picture(lambda figure: figures.draw_rewards(figure, METHODS, curves)),
+            "reward_curve.png": figures.picture(
+                lambda figure: figures.draw_rewards(figure, drawn, curves), 1.2 + 0.8 * len(drawn)
+            ),
         }
     )
 
@@ -160,17 +166,21 @@ def _learning(shown: Sequence[Method], progress: Mapping[str, pd.DataFrame]) -> 
         curve = tables.over_seeds(rows.assign(smoothed_return=smoothed), "episode", values, **experiences)
         curve["experiences"] = curve["experiences"].round().astype(int)
         curves[folder] = curve
+    drawn = [method for method in shown if len(curves[method.folder])]
+    if not drawn:
+        return Section(remarks=["no learning curves: no run has finished an episode yet"])
     return Section(
         {
             "learning_curves.csv": tables.csv(tables.stacked(shown, curves)),
             "learning_curves.png": figures.picture(
-                lambda figure: figures.draw_learning(figure, METHODS, curves, smoothed_over=SMOOTHING_EPISODES)
+                lambda figure: figures.draw_learning(figure, drawn, curves, smoothed_over=SMOOTHING_EPISODES),
+                4.8,
             ),
         }
     )
 
 
-def _shaking(runs: Runs) -> Section:
+def _shaking(results_dir: Path, runs: Runs) -> Section:
     """shaking.png: what A and B (or else C and D) do on the same position, from the traces of the lowest seed.
 
     Of the recorded positions it is the one that takes the uniform method longest: an arm that shakes comes to no end.
@@ -187,8 +197,10 @@ def _shaking(runs: Runs) -> Section:
                 chosen = {method: trace[trace["position"] == position] for method, trace in traces.items()}
                 picture = figures.picture(lambda figure: figures.draw_shaking(figure, chosen, position=position))  # noqa: B023
                 return Section({"shaking.png": picture})
-    missing = f"no shaking.png: {_TRACES} is missing for A and B"
-    return Section(remarks=[f"{missing}; record with `uarm-rl evaluate traces=3 overwrite=true`"])
+    if not all(runs[method.folder] for method in pairs[0]) and not all(runs[method.folder] for method in pairs[1]):
+        return Section()  # nothing to compare
+    record = command(results_dir, "evaluate traces=3")
+    return Section(remarks=[f"no shaking.png: {_TRACES} is missing for A and B, or C and D; {record} records it"])
 
 
 # Files

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
 
 from uarm_rl.report import figures, tables
-from uarm_rl.report.records import METHODS, Method, Runs, lacking, read_evaluations
+from uarm_rl.report.records import Method, Runs, command, lacking, read_evaluations
 from uarm_rl.report.tables import Section
 
 Evaluations = Mapping[str, pd.DataFrame]
@@ -20,27 +22,35 @@ _HELD_OUT: Final = {"heldout.csv": "positions=heldout"}
 _HOLDS: Final = {f"hold-{name}.csv": f"hold={name}" for name in ("one_step", "fixed", "until_steady")}
 
 
-def tolerance(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
+_MARGIN: Final = (
+    "The point at 1 mm measures the engine as well: PyBullet's cup rests 0.97 mm above the object, on the margin of its hull "
+    "(`sim.exact_cup=true` takes it away), so there a policy has 0.03 mm left."
+)
+
+
+def tolerance(results_dir: Path, methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
     """tolerance.csv and .png: how near the cup has to come, and how often each method then succeeds.
 
     ``standard`` are the evaluations at the trained tolerance; others are read from ``tolerance-<mm>mm.csv``.
     """
-    section = Section(remarks=_missing("tolerance curve", runs, _TOLERANCES))
+    section = Section(remarks=_missing(results_dir, "tolerance curve", runs, _TOLERANCES))
     tests = [standard, *_tests(runs, "tolerance-*mm.csv")]
     table = pd.DataFrame(
         {"method": method.label, "tolerance_m": tolerance_m, **tables.success(rows)}
         for method in methods
         for tolerance_m, rows in _by_condition(tests, method.folder, "tolerance_m")
     )
-    if len(tests) > 1:
+    drawn = [method for method in methods if len(standard[method.folder])]
+    if len(tests) > 1 and drawn:
         section.contents["tolerance.csv"] = tables.csv(table)
-        section.contents["tolerance.png"] = figures.picture(lambda figure: figures.draw_tolerance(figure, METHODS, table), 2.6)
+        section.contents["tolerance.png"] = figures.picture(lambda figure: figures.draw_tolerance(figure, drawn, table), 3.0)
+        section.contents["tolerance.md"] = f"{_MARGIN}\n".encode()
     return section
 
 
-def held_out(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
+def held_out(results_dir: Path, methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
     """heldout.csv and .md: success and return on many other positions, beside those on the test positions."""
-    section = Section(remarks=_missing("held-out positions", runs, _HELD_OUT))
+    section = Section(remarks=_missing(results_dir, "held-out positions", runs, _HELD_OUT))
     (file,) = _HELD_OUT
     held_out = read_evaluations(runs, file)
     rows: list[dict[str, Any]] = [
@@ -73,9 +83,9 @@ def held_out(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Se
     return section
 
 
-def holds(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
+def holds(results_dir: Path, methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
     """holds.csv, .md and .png: every policy with the holds it was not trained with, from ``hold-<name>.csv``."""
-    section = Section(remarks=_missing("train hold x test hold", runs, _HOLDS))
+    section = Section(remarks=_missing(results_dir, "train hold x test hold", runs, _HOLDS))
     tests = _tests(runs, "hold-*.csv")
     table = pd.DataFrame(
         {"method": method.label, "trained_hold": _hold(standard[method.folder]), "tested_hold": tested, **tables.success(rows)}
@@ -86,13 +96,23 @@ def holds(methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Secti
         table = table.sort_values("tested_hold", key=lambda holds: holds.str.len(), kind="stable")  # fixed(1), fixed(13)
         section.contents["holds.csv"] = tables.csv(table)
         section.contents["holds.md"] = _holds_markdown(table).encode()
-        section.contents["holds.png"] = figures.picture(lambda figure: figures.draw_holds(figure, table), 2.6)
+        worded = table.assign(**{column: table[column].map(hold_words) for column in ("trained_hold", "tested_hold")})
+        section.contents["holds.png"] = figures.picture(lambda figure: figures.draw_holds(figure, worded), 2.6)
     return section
 
 
 def _hold(rows: pd.DataFrame) -> str:
     """The hold of a standard test, which is that of the training; empty if nobody knows."""
     return str(rows["hold"].iloc[0]) if len(rows) else ""
+
+
+def hold_words(label: str) -> str:
+    """A hold's label in words: ``fixed(13)`` is ``13 steps``, ``until_steady(2..40, 0.001 rad)`` is ``until steady``."""
+    if match := re.fullmatch(r"fixed\((\d+)\)", label):
+        return "one step" if match[1] == "1" else f"{match[1]} steps"
+    if match := re.fullmatch(r"until_steady\((.*?)\)", label):
+        return "until steady" if match[1] in ("2..40", "2..40, 0.001 rad") else f"until steady ({match[1]})"
+    return label or "-"
 
 
 def _holds_markdown(table: pd.DataFrame) -> str:
@@ -103,8 +123,8 @@ def _holds_markdown(table: pd.DataFrame) -> str:
         trained = rows["trained_hold"].iloc[0]
         cells = {row["tested_hold"]: tables.success_text(row) for row in tables.records(rows)}
         marked = {hold: f"**{cell}**" if hold == trained else cell for hold, cell in cells.items()}
-        lines.append([str(label), trained, *(marked.get(hold, "-") for hold in tested)])
-    return tables.markdown(("Method", "Trained with", *(f"Tested with {hold}" for hold in tested)), lines, left=2)
+        lines.append([str(label), hold_words(trained), *(marked.get(hold, "-") for hold in tested)])
+    return tables.markdown(("Method", "Trained with", *(f"Tested with {hold_words(hold)}" for hold in tested)), lines, left=2)
 
 
 def _tests(runs: Runs, pattern: str) -> list[dict[str, pd.DataFrame]]:
@@ -120,10 +140,10 @@ def _by_condition(tests: Sequence[Evaluations], folder: str, column: str) -> Ite
     yield from known.groupby(column)
 
 
-def _missing(what: str, runs: Runs, options: Mapping[str, str]) -> list[str]:
+def _missing(results_dir: Path, what: str, runs: Runs, options: Mapping[str, str]) -> list[str]:
     """A remark that names the files which evaluated runs lack, and the command that makes the first."""
     missing = [(file, option, which) for file, option in options.items() if (which := lacking(runs, file))]
     if not missing:
         return []
     named = ", ".join(f"{file} ({which})" for file, _, which in missing)
-    return [f"{what}, missing: {named}; make it with `uarm-rl evaluate {missing[0][1]} out={missing[0][0]}`"]
+    return [f"{what}, missing: {named}; {command(results_dir, f'evaluate {missing[0][1]} out={missing[0][0]}')} makes it"]

@@ -9,7 +9,7 @@ from typing import Any, Final
 import pandas as pd
 
 from uarm_rl.report import figures, tables
-from uarm_rl.report.records import BUDGETS, METHODS, Method
+from uarm_rl.report.records import BUDGETS, Method
 from uarm_rl.report.tables import Section
 
 _RATE: Final = "validation_success_rate"
@@ -38,8 +38,8 @@ def budgets(
     if not len(table):
         section.remarks.append("no budgets: no run has been validated yet")
         return section
-    shown = [curves[method.folder] for method in METHODS if len(curves[method.folder])]
-    timed = all(curve["simulated_s"].notna().all() for curve in shown)
+    drawn = [method for method in methods if len(curves[method.folder])]
+    timed = all(curves[method.folder]["simulated_s"].notna().all() for method in drawn)
     axes = {axis: _AXES[axis] for axis in ("experiences", "updates", "decisions", "simulated_s" if timed else "control_steps")}
     if not timed:
         section.remarks.append("budgets in control steps, not seconds: not every run has an evaluation with control_hz")
@@ -48,7 +48,7 @@ def budgets(
     )
     section.contents = {
         "budgets.csv": tables.csv(table),
-        "budgets.png": figures.picture(lambda figure: figures.draw_budgets(figure, METHODS, curves, _RATE, axes)),
+        "budgets.png": figures.picture(lambda figure: figures.draw_budgets(figure, drawn, curves, _RATE, axes)),
         "steps_to_95.csv": tables.csv(reached[["method", "seed", "episode", *values]]),
         "steps_to_95.md": _markdown(reached).encode(),
     }
