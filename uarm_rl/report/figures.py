@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import pandas as pd
 
@@ -17,15 +17,26 @@ if TYPE_CHECKING:
 
     from uarm_rl.report.records import Method
 
+
+class _Style(NamedTuple):
+    """Told apart by colour, and without colour by line and marker."""
+
+    colour: str = "black"
+    line: str = ":"
+    marker: str = "^"
+
+
 #: The buffers of the ablations, in further colours of Okabe and Ito; the paper's two as in methods C and D.
-_LINES: Final = ("-", "--", "-.", ":")
 _BUFFERS: Final = {
-    "adaptive": "#009E73",
-    "uniform": "#CC79A7",
-    "steady_only": "#56B4E9",
-    "unstuck_only": "#D55E00",
-    "fixed_hold": "#0072B2",
+    "adaptive": _Style("#009E73", "-", "o"),
+    "uniform": _Style("#CC79A7", "--", "s"),
+    "steady_only": _Style("#56B4E9", "-.", "D"),
+    "unstuck_only": _Style("#D55E00", ":", "v"),
+    "fixed_hold": _Style("#0072B2", "--", "P"),
 }
+_MARKERS: Final = ("o", "s", "D", "v", "^", "P", "X")
+_INTERVAL: Final = "bars: 95 % interval"
+_BAND: Final = "line: mean of seeds, band: their range"
 
 
 def picture(draw: Callable[[Figure], None], height_in: float = 4.4) -> bytes:
@@ -83,17 +94,21 @@ def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str
     below.set_yscale("symlog", linthresh=10.0)  # the first episodes go far down
     below.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=10.0, subs=(1.0, 2.0, 5.0)))
     below.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    below.set(xlabel="Stored experiences (thousands)\nline: mean of seeds, band: their range")
+    below.set(xlabel=f"Stored experiences (thousands)\n{_BAND}")
     below.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
 
 
 def draw_tolerance(figure: Figure, methods: Sequence[Method], table: pd.DataFrame) -> None:
     """How success on the test positions falls with the tolerance."""
     axes = figure.subplots()
-    for method in methods:
+    for number, method in enumerate(methods):
         rows = table[table["method"] == method.label]
-        _points(axes, 1000.0 * rows["tolerance_m"], rows, method.colour, method.words, method.line)
-    axes.set(xlabel="Tolerance (mm)", xscale="log")
+        style = _Style(method.colour, method.line, _MARKERS[number % len(_MARKERS)])
+        _points(axes, _aside(number, len(methods)) * 1000.0 * rows["tolerance_m"], rows, style, method.words)
+    axes.set(
+        xlabel=f"Tolerance (mm), moved aside a little; {_INTERVAL}\nat 1 mm the engine is measured too, see tolerance.md",
+        xscale="log",
+    )
     _ticks(axes, sorted({1000.0 * tolerance_m for tolerance_m in table["tolerance_m"]}))
     _success_axis(axes, "Success on the test positions (%)")
 
@@ -103,14 +118,16 @@ def draw_holds(figure: Figure, table: pd.DataFrame) -> None:
     axes = figure.subplots()
     labels, tested = (list(dict.fromkeys(table[column])) for column in ("method", "tested_hold"))
     rates = table.pivot(index="method", columns="tested_hold", values="success_rate").loc[labels, tested]
-    axes.imshow(rates, vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto")
+    image = axes.imshow(100.0 * rates, vmin=0.0, vmax=100.0, cmap="cividis", aspect="auto")
+    figure.colorbar(image, label="Success on the test positions (%)")
+    seeds = table.groupby("method")["seeds"].max()
     for row in tables.records(table):
         x, y = tested.index(row["tested_hold"]), labels.index(row["method"])
         colour = "black" if row["success_rate"] > 0.5 else "white"
         weight = "bold" if row["tested_hold"] == row["trained_hold"] else "normal"
         axes.text(x, y, tables.percent(row["success_rate"]), ha="center", va="center", color=colour, weight=weight)
     axes.set_xticks(range(len(tested)), tested)
-    axes.set_yticks(range(len(labels)), labels)
+    axes.set_yticks(range(len(labels)), [f"{label}\n{_seeds(seeds[label])}" for label in labels])
     axes.grid(visible=False)
     axes.set(xlabel="Tested with (bold: trained with)", ylabel="Method")
 
@@ -126,6 +143,7 @@ def draw_budgets(
         axes.set(xlabel=words, xscale="log")
         _success_axis(axes, "")
     figure.supylabel("Success on validation positions (%)")
+    figure.supxlabel(_BAND)
 
 
 def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, position: int) -> None:
@@ -147,22 +165,25 @@ def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, posit
     above[0].set(ylabel="y from the object (mm)")
     beside[0].set(ylabel="Height above\nthe object (mm)")
     joints[0].set(ylabel="Joints 1 (solid),\n2 (dashed),\n3 (dotted) (°)")
-    figure.suptitle(f"Test position {position}; +: the object at the end", fontsize=7)
+    figure.suptitle(f"Test position {position}, the last 40 mm of the way; +: the object at the end", fontsize=7)
 
 
 def draw_runs(figure: Figure, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame], rate: str) -> None:
     """A few kinds of run beside each other: success of the final policies, and on the way there."""
     final, learning = figure.subplots(2, 1, height_ratios=(1, 1.4))
     for number, row in enumerate(tables.records(table)):
-        colour = _BUFFERS.get(row["buffer"], "black")
-        _points(final, pd.Series([number]), pd.DataFrame([row]), colour, row["buffer"])
+        style = _BUFFERS.get(row["buffer"], _Style())
+        _points(final, pd.Series([number]), pd.DataFrame([row]), style, _worded(row["buffer"]))
         curve = curves[row["run"]]
-        learning.plot(curve["experiences"], curve[f"{rate}_mean"], color=colour)
-        learning.fill_between(curve["experiences"], curve[f"{rate}_min"], curve[f"{rate}_max"], color=colour, alpha=0.2, lw=0)
-    final.set_xticks(range(len(table)), table["buffer"])
+        mean = curve[f"{rate}_mean"]
+        learning.plot(curve["experiences"], mean, color=style.colour, linestyle=style.line, marker=style.marker, markersize=2)
+        low, high = curve[f"{rate}_min"], curve[f"{rate}_max"]
+        learning.fill_between(curve["experiences"], low, high, color=style.colour, alpha=0.2, lw=0)
+    final.set_xticks(range(len(table)), [_seeds(seeds) for seeds in table["seeds"]])
+    final.set(xlabel=_INTERVAL)
     final.set_xlim(-0.5, len(table) - 0.5)
     _success_axis(final, "Success on the\ntest positions (%)")
-    learning.set(xlabel="Stored experiences (thousands)")
+    learning.set(xlabel=f"Stored experiences (thousands)\n{_BAND}")
     learning.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
     _success_axis(learning, "Success on validation\npositions (%)")
 
@@ -170,10 +191,11 @@ def draw_runs(figure: Figure, table: pd.DataFrame, curves: Mapping[str, pd.DataF
 def draw_servo_sweep(figure: Figure, table: pd.DataFrame) -> None:
     """Success of waiting and not waiting for servos from instant to slow."""
     axes = figure.subplots()
-    for number, (buffer, rows) in enumerate(table.groupby("buffer")):
-        aside = 1.04 ** (number - 1)  # bars at one place would hide each other
-        _points(axes, aside * rows["servo_rise_s"], rows, _BUFFERS.get(str(buffer), "black"), str(buffer), _LINES[number % 4])
-    axes.set(xlabel="Rise time of the servo, 10 to 90 % (s)", xscale="log")
+    groups = list(table.groupby("buffer"))
+    for number, (buffer, rows) in enumerate(groups):
+        style = _BUFFERS.get(str(buffer), _Style())
+        _points(axes, _aside(number, len(groups)) * rows["servo_rise_s"], rows, style, _worded(str(buffer)))
+    axes.set(xlabel=f"Rise time of the servo, 10 to 90 % (s), moved aside a little\n{_INTERVAL}", xscale="log")
     _ticks(axes, sorted(set(table["servo_rise_s"].dropna())))
     _success_axis(axes, "Success on the test positions (%)")
 
@@ -183,13 +205,13 @@ def draw_settings(figure: Figure, table: pd.DataFrame) -> None:
     axes = figure.subplots()
     settings = list(dict.fromkeys(table["setting"]))
     for buffer, rows in table.groupby("buffer"):
-        colour = _BUFFERS.get(str(buffer), "black")
+        style = _BUFFERS.get(str(buffer), _Style())._replace(line="")
         places = pd.Series([settings.index(setting) for setting in rows["setting"]], index=rows.index)
         several = rows["seeds"] > 1
-        _points(axes, places[several], rows[several], colour, str(buffer), line="")
-        _points(axes, places[~several], rows[~several], colour, f"{buffer}, one seed", line="", fill="none")
+        _points(axes, places[several], rows[several], style, str(buffer))
+        _points(axes, places[~several], rows[~several], style, f"{buffer}, one seed", fill="none")
     axes.set_xticks(range(len(settings)), settings, rotation=30, ha="right")
-    axes.set(xlabel="The constant that is not its default")
+    axes.set(xlabel=f"The constant that is not its default; {_INTERVAL}")
     _success_axis(axes, "Success on the test positions (%)")
 
 
@@ -197,7 +219,8 @@ def draw_sigma_sweep(figure: Figure, table: pd.DataFrame) -> None:
     """How far the object is moved, while learning and afterwards, and how often the cup arrives, as that is punished more."""
     learning, tested, success = figure.subplots(3, 1, sharex=True)
     places = pd.Series(range(len(table)))
-    colour = _BUFFERS["adaptive"]
+    style = _BUFFERS["adaptive"]
+    colour = style.colour
     learning.plot(places, 1000.0 * table["training_displacement_m"], color=colour, marker=".")
     learning.set(ylabel="Moved while learning\n(mm per object)", ylim=(0, None))
     millimetres = 1000.0 * table["object_displacement_m"].to_numpy()
@@ -205,22 +228,36 @@ def draw_sigma_sweep(figure: Figure, table: pd.DataFrame) -> None:
     over = 1000.0 * table["object_displacement_high"].to_numpy() - millimetres
     tested.errorbar(places, millimetres, yerr=(below.clip(0), over.clip(0)), color=colour, marker=".", capsize=2)
     tested.set(ylabel="Moved in the test\n(mm per object)", ylim=(0, None))
-    _points(success, places, table, colour, "")
+    _points(success, places, table, style, "adaptive buffer")
     success.set_xticks(places, [f"{sigma:g}" for sigma in table["sigma"]])
-    success.set(xlabel="Sigma (1/m)")
+    success.set(xlabel=f"Sigma (1/m), not to scale; {_INTERVAL}")
     _success_axis(success, "Success on the\ntest positions (%)")
 
 
-def _points(
-    axes: Axes, x: pd.Series[float], rows: pd.DataFrame, colour: str, label: str, line: str = "-", fill: str = "full"
-) -> None:
-    """Success rates with their 95 % intervals, joined by ``line``."""
+def _aside(number: int, count: int) -> float:
+    """A factor on a logarithmic axis: bars at one place would hide each other."""
+    return float(1.03 ** (number - (count - 1) / 2))
+
+
+def _seeds(count: int) -> str:
+    return "1 seed" if count == 1 else f"{count} seeds"
+
+
+def _worded(buffer: str) -> str:
+    """A buffer's name without its underscore, and what of the adaptive one it has."""
+    return {"steady_only": "steady only (waits)", "unstuck_only": "unstuck only (leaves out)"}.get(
+        buffer, buffer.replace("_", " ")
+    )
+
+
+def _points(axes: Axes, x: pd.Series[float], rows: pd.DataFrame, style: _Style, label: str, fill: str = "full") -> None:
+    """Success rates with their 95 % intervals, joined by the style's line."""
     if len(rows):
         rate = rows["success_rate"].to_numpy()
         below, over = rate - rows["ci_low"].to_numpy(), rows["ci_high"].to_numpy() - rate
         spread = (below.clip(0), over.clip(0))
-        bars = axes.errorbar(x, rate, yerr=spread, color=colour, marker="o", linestyle=line, capsize=2, elinewidth=0.6)
-        bars[0].set(fillstyle=fill, markersize=2.5)
+        bars = axes.errorbar(x, rate, yerr=spread, color=style.colour, linestyle=style.line, capsize=2, elinewidth=0.6)
+        bars[0].set(marker=style.marker, fillstyle=fill, markersize=2.5)
         bars.set_label(label)
 
 
