@@ -283,7 +283,7 @@ def test_a_bad_file_is_named_in_a_sentence_and_nothing_is_written(tmp_path, dama
 
 
 def test_a_folder_without_runs_says_what_to_do(tmp_path):
-    with pytest.raises(ReportError, match="holds no run; make one with `uarm-rl train`, then `uarm-rl evaluate`"):
+    with pytest.raises(ReportError, match="holds no run; make one with `uarm-rl train results_dir="):
         report(tmp_path)
     with pytest.raises(ReportError, match="nowhere is not a folder; name one with results_dir=PATH"):
         report(tmp_path / "nowhere")

@@ -3,6 +3,8 @@
 Read ``report.py`` first: it assembles all of it. ``records.py`` reads and checks every cell and computes nothing;
 ``statistics.py`` computes; ``tables.py`` and ``figures.py`` write. A module for each further section:
 
+- ``table1.py``: the paper's table
+- ``learning.py``: rewards, learning curves, an arm that shakes beside one that waits
 - ``comparisons.py``: which differences between the methods the data can show
 - ``robustness.py``: other tolerances, positions and holds
 - ``sample_efficiency.py``: success against what it cost

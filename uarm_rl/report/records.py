@@ -88,7 +88,9 @@ _REMEDIES: Final = {
 def find_runs(results_dir: Path) -> dict[str, list[Path]]:
     """The run folders of each ``name`` below ``results_dir``, in order."""
     if not results_dir.is_dir():
-        raise ReportError(f"{results_dir} is not a folder; name one with results_dir=PATH or make one with `uarm-rl train`")
+        raise ReportError(
+            f"{results_dir} is not a folder; name one with results_dir=PATH or make one with {command(results_dir, 'train')}"
+        )
     runs: dict[str, list[Path]] = {}
     for folder in results_dir.glob("*/seed*"):
         is_run = (folder / "progress.csv").exists() or (folder / "evaluation.csv").exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,10 +23,16 @@ _BOOTSTRAP_WORK: Final = 1_000_000
 
 @dataclass
 class Section:
-    """A part of the report: its files, by their names, and remarks on what is missing and which command makes it."""
+    """A part of the report: its files, by their names, remarks on what is missing and which command makes it, its text."""
 
     contents: dict[str, bytes] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
+    text: str = ""
+
+
+def shown(path: Path) -> Path:
+    """``path`` relative to the current folder if it lies below it."""
+    return path.absolute().relative_to(Path.cwd()) if path.absolute().is_relative_to(Path.cwd()) else path
 
 
 def generator() -> np.random.Generator:

@@ -1,0 +1,75 @@
+"""Table 1: the success of every method beside the paper's, and how restless its arm is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from uarm_rl.report import tables
+from uarm_rl.report.records import METHODS, SHAKING, Method, Runs, command, read_paper
+from uarm_rl.report.tables import Section
+
+CAPTION: Final = (
+    "Success: share of the test positions, mean over seeds; its interval is Wilson's for one seed, a bootstrap over "
+    "seeds and positions for several. The columns after the paper's success are means over seeds and positions."
+)
+_HEADINGS: Final = (
+    "Method",
+    "Buffer",
+    "Reward",
+    "Seeds",
+    "Success (95 % interval)",
+    "Paper",
+    *(row[0] for row in SHAKING.values()),
+)
+
+
+def table1(results_dir: Path, methods: Sequence[Method], runs: Runs, evaluations: Mapping[str, pd.DataFrame]) -> Section:
+    """table1.csv and .md; its ``text`` is the same table for a terminal."""
+    paper = read_paper(results_dir)
+    rows = [_row(method, evaluations[method.folder], paper) for method in methods]
+    cells = [_cells(row, trained=len(runs[method.folder])) for row, method in zip(rows, methods, strict=True)]
+    contents = {
+        "table1.csv": tables.csv(pd.DataFrame(rows)),
+        "table1.md": f"{tables.markdown(_HEADINGS, cells, left=3)}\n{CAPTION}\n".encode(),
+    }
+    return Section(contents, _remarks(results_dir, runs), tables.aligned(_HEADINGS, cells, left=3))
+
+
+def _row(method: Method, rows: pd.DataFrame, paper: Mapping[str, float]) -> dict[str, Any]:
+    """The row of table1.csv for one method; NaN where nothing is known."""
+    return {
+        "method": method.label,
+        "buffer": method.buffer,
+        "reward": method.reward,
+        **tables.success(rows),
+        "paper_success_rate": paper.get(method.label, float("nan")),
+        **rows[[*SHAKING]].mean(),
+    }
+
+
+def _cells(row: Mapping[str, Any], *, trained: int) -> list[str]:
+    """The row of a printed table, under ``_HEADINGS``."""
+    evaluated = row["seeds"]
+    return [
+        row["method"],
+        row["buffer"] or "-",
+        row["reward"] or "-",
+        "-" if not trained else str(evaluated) if evaluated == trained else f"{evaluated} of {trained}",
+        tables.success_text(row),
+        tables.percent(row["paper_success_rate"]),
+        *(f"{row[column] * factor:.{decimals}f}" if evaluated else "-" for column, (_, factor, decimals) in SHAKING.items()),
+    ]
+
+
+def _remarks(results_dir: Path, runs: Runs) -> list[str]:
+    """What the table cannot show because it was not run."""
+    absent = [f"{method.label} ({method.folder})" for method in METHODS if not runs[method.folder]]
+    waiting = [str(tables.shown(run)) for seeds in runs.values() for run in seeds if not (run / "evaluation.csv").exists()]
+    return [
+        *([f"not trained: {', '.join(absent)}"] if absent else []),
+        *([f"not evaluated ({command(results_dir, 'evaluate')} does it): {', '.join(waiting)}"] if waiting else []),
+    ]
