@@ -88,6 +88,21 @@ def test_rewards_of_positions_without_order_are_not_joined(figure):
     assert "haste, not success" in figure.axes[0].get_title()
 
 
+def test_the_words_beside_the_rewards_of_one_run_fit_into_the_picture():
+    drawn = []
+
+    def draw(figure: Figure) -> None:
+        figures.draw_rewards(figure, METHODS[:1], curves("position", "common_return", "return"))
+        drawn.append(figure)
+
+    figures.picture(draw, 2.0)
+    (figure,) = drawn
+    for words in (*figure.texts, *(axes.title for axes in figure.axes)):
+        box = words.get_window_extent()
+        assert 0 <= box.x0 < box.x1 <= figure.bbox.width, words
+        assert 0 <= box.y0 < box.y1 <= figure.bbox.height, words
+
+
 def test_learning_curves_name_their_axis_and_their_band(figure):
     drawn = curves("experiences", "validation_success_rate", "smoothed_return")
     figures.draw_learning(figure, METHODS, drawn, smoothed_over=20)

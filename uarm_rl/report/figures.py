@@ -77,8 +77,8 @@ def draw_rewards(figure: Figure, methods: Sequence[Method], curves: Mapping[str,
         row[0].set_ylabel(method.label, rotation=0, weight="bold", ha="right", va="center")
     grid[0, 0].set_title("same reward for all, a\nsum over control steps:\nhaste, not success")
     grid[0, 1].set_title("method's own reward,\na sum over its decisions")
-    figure.supxlabel("Test position (number); point: mean of seeds, bar: their range")
-    figure.supylabel("Return (sum of rewards, no unit); dashed: mean over positions")
+    figure.supxlabel("Test position (number)\npoint: mean of seeds, bar: their range, dashed: mean over positions")
+    figure.supylabel("Return (sum of rewards, no unit)")
 
 
 def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame], *, smoothed_over: int) -> None:
