@@ -1,0 +1,137 @@
+"""The training loop, against an environment whose answers are written down."""
+
+from __future__ import annotations
+
+from itertools import cycle
+
+import numpy as np
+import pytest
+import torch
+
+from tests.conftest import CARD
+from uarm_rl.learn.admission import NotStuck
+from uarm_rl.learn.ddpg import DDPG
+from uarm_rl.learn.learner import Learner
+from uarm_rl.learn.replay import ReplayBuffer
+from uarm_rl.learn.train import Schedule, Stop, train
+from uarm_rl.task import observation
+
+ORDINARY = {
+    "reward": -1.0,
+    "terminated": False,
+    "truncated": False,
+    "control_steps": 3,
+    "clipped": False,
+    "travel_rad": 0.1,
+    "object_moved_m": 0.001,
+    "object_lost": False,
+    "exploded": False,
+}
+STUCK = ORDINARY | {"reward": -2.0, "clipped": True, "travel_rad": 0.0005, "control_steps": 2}
+EXPLODED = ORDINARY | {"reward": -4.0, "truncated": True, "exploded": True, "control_steps": 0}
+SUCCESS = ORDINARY | {"reward": -8.0, "terminated": True}
+LOST = ORDINARY | {"reward": -16.0, "truncated": True, "object_lost": True, "object_moved_m": 0.05}
+TIMED_OUT = ORDINARY | {"reward": -32.0, "truncated": True}
+
+
+class Script:
+    """An ``AsyncEnv`` that gives the written answers in turn; its observations are numbered."""
+
+    def __init__(self, *answers: dict[str, object]) -> None:
+        self.answers = cycle(answers)
+        self.resets: list[bool] = []
+        self.actions: list[np.ndarray] = []
+        self.seen = 0
+
+    def _observe(self) -> np.ndarray:
+        self.seen += 1
+        return np.full(observation.SIZE, self.seen / 100, np.float32)
+
+    def reset(self, *, home: bool) -> np.ndarray:
+        self.resets.append(home)
+        return self._observe()
+
+    def step_async(self, action: np.ndarray) -> None:
+        self.actions.append(action)
+
+    def step_wait(self) -> tuple[object, ...]:
+        info = next(self.answers)
+        return self._observe(), info["reward"], info["terminated"], info["truncated"], info
+
+
+class Loud:
+    """Noise that is too loud for any action, and keeps what it was asked."""
+
+    def __init__(self, value: float = 5.0) -> None:
+        self.value = value
+        self.asked: list[float | str] = []
+
+    def reset(self) -> None:
+        self.asked.append("reset")
+
+    def __call__(self, progress: float) -> np.ndarray:
+        self.asked.append(progress)
+        return np.array([self.value, -self.value, 0.0])
+
+
+def learner(*answers: dict[str, object], noise: float = 0.0) -> Learner:
+    rates = {"gamma": 0.9, "tau": 0.01, "actor_lr": 1e-4, "critic_lr": 1e-3, "final_layer_init": 0.1}
+    agent = DDPG(hidden=[4], **rates, action_size=3, generator=torch.Generator().manual_seed(0))
+    replay = ReplayBuffer(50, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(1))
+    return Learner(Script(*answers), agent, agent.policy(CARD), replay, NotStuck(0.001), Loud(noise))
+
+
+def run(one: Learner, **changes: int) -> list[dict[str, object]]:
+    lengths = {"episodes": 1, "experiences_per_episode": 4, "max_decisions_per_episode": 20, "batch_size": 2}
+    rest = {"warmup_experiences": 1, "validate_every": 1, "checkpoint_every": 1}
+    rows: list[dict[str, object]] = []
+    train(one, Schedule(**(lengths | rest | changes)), rows.append, Stop())
+    return rows
+
+
+def test_an_episode_stores_counts_and_resets_as_it_should():
+    one = learner(ORDINARY, STUCK, EXPLODED, SUCCESS, LOST, TIMED_OUT)
+    (row,) = run(one)
+    assert one.env.resets == [True, True, False, False, False]  # only a world that exploded is built anew on the way
+    assert {name: row[name] for name in ("experiences", "decisions", "control_steps", "successes")} == {
+        "experiences": 4,
+        "decisions": 6,
+        "control_steps": 14,
+        "successes": 1,
+    }
+    assert (row["object_losses"], row["explosions"], row["admission_rate"]) == (1, 1, 4 / 6)
+    assert (row["episode_return"], row["object_moved_m"]) == (-63.0, pytest.approx(0.055))
+    stored = one.replay.rows[:4]
+    assert stored[:, 23].tolist() == [-1.0, -8.0, -16.0, -32.0]  # neither what is stuck nor what exploded
+    assert stored[:, -1].tolist() == [0, 1, 0, 0]  # what is only cut off has a future
+    # Observations 4, 6, 8 and 10 are those after the resets.
+    assert stored[:, 0].tolist() == pytest.approx([0.01, 0.05, 0.07, 0.09])
+    assert stored[:, 24].tolist() == pytest.approx([0.02, 0.06, 0.08, 0.10])
+
+
+def test_there_is_one_gradient_step_an_experience_after_the_warm_up():
+    rows = run(learner(ORDINARY), episodes=3, warmup_experiences=2)
+    # The step for an experience is taken while the next decision is carried out, hence one behind.
+    assert [row["updates"] for row in rows] == [1, 5, 9]
+    assert ["critic_loss" in row for row in rows] == [True, True, True]
+    assert "critic_loss" not in run(learner(ORDINARY), warmup_experiences=4)[0]
+
+
+def test_noise_begins_anew_with_an_episode_and_knows_how_far_the_training_is():
+    one = learner(ORDINARY, noise=5.0)
+    run(one, episodes=2, experiences_per_episode=2)
+    assert one.noise.asked == ["reset", 0.0, 0.25, "reset", 0.5, 0.75]
+    assert all(action.dtype == np.float32 and action[:2].tolist() == [1.0, -1.0] for action in one.env.actions)
+
+
+def test_without_noise_the_policy_acts():
+    one = learner(ORDINARY)
+    expected = one.policy.act(np.full(observation.SIZE, 0.01, np.float32)).copy()
+    run(one)
+    np.testing.assert_array_equal(one.env.actions[0], expected)
+    np.testing.assert_array_equal(one.replay.rows[0, 20:23], expected)
+
+
+def test_an_episode_ends_although_nothing_is_admitted():
+    rows = run(learner(STUCK), episodes=2, max_decisions_per_episode=7)
+    assert [(row["experiences"], row["decisions"], row["admission_rate"]) for row in rows] == [(0, 7, 0.0), (0, 14, 0.0)]
