@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from itertools import cycle
 
 import numpy as np
@@ -9,12 +10,14 @@ import pytest
 import torch
 
 from tests.conftest import CARD
+from uarm_rl.learn import run as session
 from uarm_rl.learn.admission import NotStuck
 from uarm_rl.learn.ddpg import DDPG
 from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule, Stop, train
 from uarm_rl.task import observation
+from uarm_rl.task.policy import ActorPolicy
 
 ORDINARY = {
     "reward": -1.0,
@@ -58,6 +61,9 @@ class Script:
         info = next(self.answers)
         return self._observe(), info["reward"], info["terminated"], info["truncated"], info
 
+    def state(self) -> dict[str, object]:
+        return {}
+
 
 class Loud:
     """Noise that is too loud for any action, and keeps what it was asked."""
@@ -73,6 +79,9 @@ class Loud:
         self.asked.append(progress)
         return np.array([self.value, -self.value, 0.0])
 
+    def state(self) -> dict[str, object]:
+        return {}
+
 
 def learner(*answers: dict[str, object], noise: float = 0.0) -> Learner:
     rates = {"gamma": 0.9, "tau": 0.01, "actor_lr": 1e-4, "critic_lr": 1e-3, "final_layer_init": 0.1}
@@ -85,7 +94,10 @@ def run(one: Learner, **changes: int) -> list[dict[str, object]]:
     lengths = {"episodes": 1, "experiences_per_episode": 4, "max_decisions_per_episode": 20, "batch_size": 2}
     rest = {"warmup_experiences": 1, "validate_every": 1, "checkpoint_every": 1}
     rows: list[dict[str, object]] = []
-    train(one, Schedule(**(lengths | rest | changes)), rows.append, Stop())
+    ticks: list[None] = []
+    schedule = Schedule(**(lengths | rest | changes))
+    train(one, schedule, end_of_decision=lambda: ticks.append(None), end_of_episode=rows.append, stop=Stop())
+    assert len(ticks) == one.counters.decisions
     return rows
 
 
@@ -135,3 +147,39 @@ def test_without_noise_the_policy_acts():
 def test_an_episode_ends_although_nothing_is_admitted():
     rows = run(learner(STUCK), episodes=2, max_decisions_per_episode=7)
     assert [(row["experiences"], row["decisions"], row["admission_rate"]) for row in rows] == [(0, 7, 0.0), (0, 14, 0.0)]
+
+
+def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):
+    one, validated = learner(ORDINARY), []
+
+    def validate(policy):
+        validated.append(policy)
+        return iter([True, False, False, True, False])
+
+    schedule = Schedule(3, 4, 20, batch_size=2, warmup_experiences=1, validate_every=2, checkpoint_every=1)
+    assert session.run(tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), tensorboard=False)
+    with open(tmp_path / "progress.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["validation_success_rate"] for row in rows] == ["", "0.4", "0.4"]  # the last one always
+    assert [row["experiences"] for row in rows] == ["4", "8", "12"]
+    assert validated == [one.policy] * 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["policy.safetensors", "progress.csv"]
+    shown = np.full(observation.SIZE, 0.1, np.float32)
+    saved = ActorPolicy.load(tmp_path / "policy.safetensors")
+    np.testing.assert_allclose(saved.act(shown), one.policy.act(shown), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("q_min", "q_max", "saturation", "problems"),
+    [
+        (-4.0, 2.0, 0.9, ""),
+        (-4.1, 2.0, 0.5, "critic in [-4.1, 2], possible is [-4, 2]"),
+        (-4.0, 2.1, 0.5, "critic in [-4, 2.1], possible is [-4, 2]"),
+        (-1.0, 1.0, 0.91, "actor saturated in 91% of its outputs"),
+        (-5.0, 1.0, 1.0, "critic in [-5, 1], possible is [-4, 2]; actor saturated in 100% of its outputs"),
+        (None, None, None, ""),  # an episode without a gradient step
+    ],
+)
+def test_a_training_that_goes_astray_is_warned_of_in_words(q_min, q_max, saturation, problems):
+    row = {"q_min": q_min, "q_max": q_max, "saturation": saturation}
+    assert session.warning(row, (-4.0, 2.0)) == problems
