@@ -10,6 +10,7 @@ Examples:
 from __future__ import annotations
 
 import os
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -92,7 +93,8 @@ def _trained_runs(results_dir: Path) -> list[Path]:
     trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
     if not trained:
         raise UsageError(
-            f"{results_dir} holds no trained run; make one with uarm-rl train, or name its folder: results_dir=DIR"
+            f"{results_dir} holds no trained run; make one with `uarm-rl train results_dir={shlex.quote(str(results_dir))}`, "
+            "or name another folder: results_dir=DIR"
         )
     return trained
 
