@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import signal
 from itertools import cycle
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import torch
 
 from tests.conftest import CARD
+from uarm_rl.learn import checkpoint
 from uarm_rl.learn import run as session
 from uarm_rl.learn.admission import NotStuck
 from uarm_rl.learn.ddpg import DDPG
@@ -167,6 +169,22 @@ def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):
     shown = np.full(observation.SIZE, 0.1, np.float32)
     saved = ActorPolicy.load(tmp_path / "policy.safetensors")
     np.testing.assert_allclose(saved.act(shown), one.policy.act(shown), atol=1e-6)
+
+
+def test_a_stop_during_a_validation_does_not_wait_for_its_end(tmp_path):
+    one, asked = learner(ORDINARY), []
+
+    def validate(policy):
+        for position in range(50):
+            asked.append(position)
+            if position == 1:
+                signal.raise_signal(signal.SIGINT)
+            yield True
+
+    schedule = Schedule(4, 4, 20, batch_size=2, warmup_experiences=1, validate_every=2, checkpoint_every=4)
+    assert not session.run(tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), tensorboard=False)
+    assert asked == [0, 1]
+    assert checkpoint.read_latest(tmp_path).episode == 1
 
 
 @pytest.mark.parametrize(
