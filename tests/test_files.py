@@ -8,6 +8,7 @@ import os
 import numpy as np
 import pytest
 
+from tests.torture import COMMITS, counted_calls
 from uarm_rl.csvfile import Logbook, write_rows
 
 
@@ -47,33 +48,19 @@ def test_a_failed_write_keeps_the_old_file(tmp_path):
     assert path.read_text() == "x\n1\n"
 
 
-class Disk:
-    """Fails the n-th call of the operating system that a save makes, in one of several ways."""
-
-    def __init__(self, monkeypatch, fail_at, error):
-        self.calls = 0
-        for name in ("fsync", "rename", "replace", "open"):
-            real = getattr(os, name)
-            monkeypatch.setattr(os, name, self._wrap(real, fail_at, error))
-
-    def _wrap(self, real, fail_at, error):
-        def call(*arguments, **keywords):
-            self.calls += 1
-            if self.calls == fail_at:
-                raise OSError(error, os.strerror(error), "disk")
-            return real(*arguments, **keywords)
-
-        return call
-
-
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
-def test_whatever_fails_during_a_replacement_a_whole_file_is_there(tmp_path, monkeypatch, error):
+def test_whatever_fails_during_a_replacement_a_whole_file_is_there(tmp_path, error):
+    def fail():
+        raise OSError(error, os.strerror(error), "disk")
+
     path = tmp_path / "a.csv"
-    write_rows(path, ("x",), [{"x": 1}])
-    for fail_at in range(1, 4):
-        with monkeypatch.context() as patch:
-            Disk(patch, fail_at, error)
-            with pytest.raises(OSError, match="disk"):
-                write_rows(path, ("x",), [{"x": 2}])
-        assert path.read_text() in ("x\n1\n", "x\n2\n")
+    # Removing what is left over, opening, flushing, renaming; then the new file is there, and its folder is opened and flushed.
+    for at, content in enumerate(("x\n1\n", "x\n1\n", "x\n1\n", "x\n1\n", "x\n2\n", "x\n2\n"), start=1):
+        write_rows(path, ("x",), [{"x": 1}])
+        with pytest.raises(OSError, match="disk"), counted_calls(at, fail, (*COMMITS, "open")):
+            write_rows(path, ("x",), [{"x": 2}])
+        assert path.read_text() == content
         assert list(tmp_path.iterdir()) == [path]
+    with counted_calls(7, fail, (*COMMITS, "open")) as calls:
+        write_rows(path, ("x",), [{"x": 3}])
+    assert calls == [6]
