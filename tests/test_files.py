@@ -8,7 +8,7 @@ import os
 import numpy as np
 import pytest
 
-from tests.torture import COMMITS, counted_calls
+from tests.disks import COMMITS, counted_calls
 from uarm_rl.csvfile import Logbook, write_rows
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests import torture
+from tests import disks
 from tests.conftest import CARD
 from tests.hostile.tensors import BROKEN
 from uarm_rl import files
@@ -91,7 +91,7 @@ def test_numbers_that_are_not_finite_are_not_written(tmp_path):
     assert checkpoint.read_latest(tmp_path)[0] == 1
 
 
-@pytest.mark.parametrize("harness", [torture.failing_saves, torture.full_disks])
+@pytest.mark.parametrize("harness", [disks.failing_saves, disks.full_disks])
 def test_whatever_fails_during_a_save_the_last_checkpoint_loads(tmp_path, harness):
     saves, lost = harness(tmp_path)
     assert saves > 40
