@@ -87,11 +87,13 @@ def bound(module: str) -> dict[str, str]:
 
 
 def uses(module: str) -> set[str]:
-    """Dotted paths that a module imports or reaches through an imported module."""
+    """Dotted paths that a module imports, reaches through an imported module, or names in a text (an entry point)."""
     paths = set(bound(module).values())
     for node in ast.walk(tree(module)):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and bound(module).get(node.value.id) in MODULES:
             paths.add(f"{bound(module)[node.value.id]}.{node.attr}")
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
+            paths |= {node.value.split(":")[0]} & MODULES.keys()
     return paths - {module}
 
 
