@@ -7,11 +7,13 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from uarm_rl import configuration
+from uarm_rl.sim.simulated_arm import SimulatedArm
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import PolicyCard
 
@@ -42,7 +44,28 @@ CARD = PolicyCard(
     seed=0,
 )
 
+#: What is tested on every engine is skipped where one is not installed.
+ENGINES = [
+    pytest.param(name, marks=pytest.mark.skipif(find_spec(name) is None, reason=f"{name} is not installed"))
+    for name in ("pybullet", "mujoco")
+]
+
 MakeEnv = Callable[..., UArmSuctionEnv]
+
+
+@pytest.fixture(params=ENGINES)
+def engine(request: pytest.FixtureRequest) -> str:
+    """The name of each engine, one after the other."""
+    name: str = request.param
+    return name
+
+
+def make_arm(engine: str, *overrides: str) -> SimulatedArm:
+    """The simulated arm of an engine, from command-line overrides."""
+    settings = configuration.compose("train", (f"sim={engine}", *overrides))
+    servo = configuration.build("servo", settings["servo"])
+    arm: SimulatedArm = configuration.build("sim", settings["sim"], servo=servo, control_hz=settings["control_hz"])
+    return arm
 
 
 @pytest.fixture

@@ -41,6 +41,7 @@ OWNERS = {
     "hydra": ("cli", "configuration"),
     "omegaconf": ("cli", "configuration"),
     "pybullet": ("sim", "emulator.physics"),
+    "mujoco": ("sim",),
     "serial": ("real", "emulator"),
     "cv2": ("real", "emulator"),
     "torch": ("learn", "commands.train"),

@@ -23,6 +23,7 @@ from uarm_rl.files import CONFIG, POLICY
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from uarm_rl.sim.simulated_arm import SimulatedArm
     from uarm_rl.task.env import UArmSuctionEnv
     from uarm_rl.task.policy import Policy, PolicyCard
 
@@ -61,6 +62,22 @@ def _servos() -> dict[str, Callable[..., Any]]:
     return {"second_order": SecondOrder, "stepper": Stepper, "instant": Instant}
 
 
+def _sims() -> dict[str, Callable[..., Any]]:
+    """Functions that import their engine: the others may not be installed."""
+
+    def pybullet() -> Callable[..., Any]:
+        from uarm_rl.sim.pybullet_arm import SimArm
+
+        return SimArm
+
+    def mujoco() -> Callable[..., Any]:
+        from uarm_rl.sim.mujoco_arm import MujocoArm
+
+        return MujocoArm
+
+    return {"pybullet": pybullet, "mujoco": mujoco}
+
+
 def _agents() -> dict[str, Callable[..., Any]]:
     from uarm_rl.learn.ddpg import DDPG
 
@@ -89,6 +106,7 @@ OPEN_SETS: Final = {
     "reward": _rewards,
     "noise": _noises,
     "servo": _servos,
+    "sim": _sims,
     "agent": _agents,
     "camera": _cameras,
     "detector": _detectors,
@@ -105,8 +123,9 @@ def build(group: str, settings: Mapping[str, Any], **runtime: Any) -> Any:
     name = arguments.pop("name", None)
     if not isinstance(name, str) or name not in classes:
         raise ValueError(f"{group} has no {name!r}; choose one of {', '.join(classes)}")
-    check_keys(f"{group}={name}", classes[name], arguments, given=runtime)
-    return classes[name](**arguments, **runtime)
+    make = classes[name]() if group == "sim" else classes[name]
+    check_keys(f"{group}={name}", make, arguments, given=runtime)
+    return make(**arguments, **runtime)
 
 
 def check_keys(where: str, make: Callable[..., Any], settings: Mapping[str, Any], *, given: Collection[str] = ()) -> None:
@@ -135,12 +154,10 @@ def build_env(
 
     A window opens for ``render_mode="human"`` alone: ``sim.gui`` is for the one environment that somebody watches.
     """
-    from uarm_rl.sim.pybullet_arm import SimArm
     from uarm_rl.task.env import UArmSuctionEnv
 
     sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
-    check_keys("sim", SimArm, sim, given=("servo", "control_hz"))
-    arm = SimArm(build("servo", settings["servo"]), control_hz=settings["control_hz"], **sim)
+    arm: SimulatedArm = build("sim", sim, servo=build("servo", settings["servo"]), control_hz=settings["control_hz"])
     return UArmSuctionEnv(
         arm,
         arm,
@@ -153,7 +170,7 @@ def build_env(
         time_limit_s=time_limit_s,
         object_height_m=sim["object_size_m"],
         render_mode=render_mode,
-        render_modes=("rgb_array", "rgb_array_list", *(("human",) if SimArm.has_screen() or sim["gui"] else ())),
+        render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size),
     )
 
@@ -324,6 +341,7 @@ def read_run(run_dir: Path) -> Settings:
     checks.number("time_limit_s", settings["time_limit_s"], low=0.0, open_low=True)
     for group, retired in _RETIRED.items():
         settings[group] = {key: value for key, value in settings[group].items() if key not in retired}
+    settings["sim"].setdefault("name", "pybullet")  # the only engine that older versions had
     names = {group: value.get("name") for group, value in settings.items() if isinstance(value, Mapping)}
     chosen = tuple(f"{group}={name}" for group, name in sorted(names.items()) if name in choices(group))
     return _merged(_defaults(chosen), settings)

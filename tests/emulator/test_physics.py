@@ -27,7 +27,7 @@ from uarm_rl.emulator.physics import CUP_RADIUS_M, World
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.task import kinematics, positions
 
-SIM = configuration.compose("emulate")["sim"]
+SIM = {key: value for key, value in configuration.compose("emulate")["sim"].items() if key != "name"}
 TICK_S = 1.0 / 240.0
 TOP_M = (0.25, 0.03, 0.03)
 INSIDE_M = SIM["object_size_m"] / 2.0 - CUP_RADIUS_M  # the lip is all on the object

@@ -1,4 +1,4 @@
-"""How the simulated joints respond: rise, overshoot, rest, dead time, queue; measured in PyBullet, gravity included."""
+"""How the simulated joints respond: rise, overshoot, rest, dead time, queue; measured in every engine, gravity included."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from tests.conftest import make_arm
 from uarm_rl import configuration
-from uarm_rl.sim.pybullet_arm import SimArm
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import kinematics
 
@@ -17,11 +17,10 @@ HOME = kinematics.HOME_JOINTS_RAD
 
 
 def respond(
-    servo: str, *overrides: str, steps: int = 60, step_rad: tuple[float, float, float] = (STEP_RAD, 0, 0)
+    engine: str, servo: str, *overrides: str, steps: int = 60, step_rad: tuple[float, float, float] = (STEP_RAD, 0, 0)
 ) -> np.ndarray:
     """Joint angles relative to home after each control step following a command; shape (steps, 3)."""
-    settings = configuration.compose("train", (f"servo={servo}", *overrides))
-    with SimArm(configuration.build("servo", settings["servo"]), control_hz=20, **settings["sim"]) as arm:
+    with make_arm(engine, f"servo={servo}", *overrides) as arm:
         arm.command_joints(HOME + step_rad)
         path = []
         for _ in range(steps):
@@ -37,8 +36,8 @@ def crossing_s(path: np.ndarray, share: float) -> float:
     return float(np.interp(share, values[index - 1 : index + 1], times[index - 1 : index + 1]))
 
 
-def test_second_order_rises_and_overshoots_as_its_equation_says():
-    path = respond("second_order")
+def test_second_order_rises_and_overshoots_as_its_equation_says(engine):
+    path = respond(engine, "second_order")
     assert 0.3 <= crossing_s(path, 0.9) - crossing_s(path, 0.1) <= 0.6
     damping = 0.5
     overshoot = math.exp(-math.pi * damping / math.sqrt(1 - damping**2))
@@ -46,22 +45,22 @@ def test_second_order_rises_and_overshoots_as_its_equation_says():
 
 
 @pytest.mark.parametrize("servo", ["second_order", "stepper", "instant"])
-def test_every_joint_arrives_and_does_not_creep(servo):
-    path = respond(servo, steps=200, step_rad=(0.15, 0.1, -0.1))
+def test_every_joint_arrives_and_does_not_creep(engine, servo):
+    path = respond(engine, servo, steps=200, step_rad=(0.15, 0.1, -0.1))
     assert path[-1] == pytest.approx([0.15, 0.1, -0.1], abs=0.0002)  # gravity included
     assert np.abs(path[-1] - path[-100]).max() < 1e-6
 
 
-def test_speed_limit_holds():
-    path = respond("second_order", "servo.speed_limit_rad_s=0.2", steps=10)
+def test_speed_limit_holds(engine):
+    path = respond(engine, "second_order", "servo.speed_limit_rad_s=0.2", steps=10)
     assert np.abs(np.diff(path[:, 0])).max() * 20 <= 0.2 + 1e-6
 
 
 @pytest.mark.parametrize(("servo", "low", "high"), [("second_order", 0.3, 0.6), ("stepper", 0.2, 0.4), ("instant", 0.03, 0.05)])
-def test_the_rise_time_is_that_of_the_simulated_joint(servo, low, high):
+def test_the_rise_time_is_that_of_the_simulated_joint(engine, servo, low, high):
     rise_s = rise_time_s(configuration.build("servo", configuration.compose("train", (f"servo={servo}",))["servo"]))
     assert low <= rise_s <= high
-    path = respond(servo)
+    path = respond(engine, servo)
     assert rise_s == pytest.approx(crossing_s(path, 0.9) - crossing_s(path, 0.1), abs=0.02)
 
 
@@ -79,8 +78,8 @@ def test_rise_time_scales_with_the_frequency_and_ends():
         rise_s(0.001)
 
 
-def test_instant_arrives_within_one_control_step():
-    assert respond("instant", steps=1)[0, 0] == pytest.approx(STEP_RAD, abs=1e-6)
+def test_instant_arrives_within_one_control_step(engine):
+    assert respond(engine, "instant", steps=1)[0, 0] == pytest.approx(STEP_RAD, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -88,24 +87,23 @@ def test_instant_arrives_within_one_control_step():
     # Durations that firmware V4.10.0 showed for F 20 (first to last step pulse): one joint, and all three motors.
     [((STEP_RAD, 0, 0), 0.352), ((STEP_RAD, -STEP_RAD, 2 * STEP_RAD), 0.574)],
 )
-def test_stepper_takes_as_long_as_the_firmware(step_rad, measured_s):
-    path = respond("stepper", "sim.physics_hz=480", step_rad=step_rad, steps=30)
+def test_stepper_takes_as_long_as_the_firmware(engine, step_rad, measured_s):
+    path = respond(engine, "stepper", "sim.physics_hz=480", step_rad=step_rad, steps=30)
     arrived = np.abs(path - step_rad).max(axis=1) < 1e-5
     duration_s = (int(np.argmax(arrived)) + 1) / 20
     assert measured_s + 0.016 <= duration_s <= measured_s + 0.016 + 0.055
     assert path[:, 0].max() <= STEP_RAD + 1e-6  # no overshoot
 
 
-def test_stepper_moves_on_a_straight_line_in_joint_space():
-    path = respond("stepper", step_rad=(0.15, 0.05, -0.1), steps=8)
+def test_stepper_moves_on_a_straight_line_in_joint_space(engine):
+    path = respond(engine, "stepper", step_rad=(0.15, 0.05, -0.1), steps=8)
     share = path[:, 0] / 0.15
     np.testing.assert_allclose(path, share[:, None] * np.array([0.15, 0.05, -0.1]), atol=2e-5)
 
 
 @pytest.mark.parametrize("queue", [True, False])
-def test_a_second_command_queues_or_replaces(queue):
-    settings = configuration.compose("train", ("servo=stepper", f"servo.queue={str(queue).lower()}"))
-    with SimArm(configuration.build("servo", settings["servo"]), control_hz=20, **settings["sim"]) as arm:
+def test_a_second_command_queues_or_replaces(engine, queue):
+    with make_arm(engine, "servo=stepper", f"servo.queue={str(queue).lower()}") as arm:
         arm.command_joints(HOME + [0.3, 0, 0])
         arm.advance()
         arm.command_joints(HOME)

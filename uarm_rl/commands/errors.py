@@ -7,13 +7,12 @@ from typing import Final
 from uarm_rl.checks import UsageError, how_to_add
 from uarm_rl.task.arm import ArmError
 
-_SIMULATION: Final = "training and simulation need Python 3.10 or 3.11 on Linux x86-64, where pip installs it with uarm-rl"
 #: Libraries that an installation may lack on purpose.
 _MISSING: Final = {
     "cv2": f"camera and emulator need it; {how_to_add('real')}",
-    "torch": _SIMULATION,
-    "pybullet": _SIMULATION,
+    "torch": "training needs it; on Linux x86-64 with Python 3.10 or 3.11 pip installs it with uarm-rl",
 }
+_ENGINES: Final = ("pybullet", "mujoco")  # their modules say it themselves
 
 
 def explain(error: Exception) -> tuple[str, int]:
@@ -27,6 +26,8 @@ def explain(error: Exception) -> tuple[str, int]:
         return f"{what}; check the path, its permissions and the free space", 1
     if isinstance(error, ModuleNotFoundError) and error.name in _MISSING:
         return f"{error.name} is not installed; {_MISSING[error.name]}", 1
+    if isinstance(error, ModuleNotFoundError) and error.name in _ENGINES:
+        return sentence, 1
     if isinstance(error, MemoryError) or "can't allocate memory" in sentence:
         return "there is not enough memory for this; look for a size in the configuration that is far too large", 1
     if isinstance(error, RecursionError):

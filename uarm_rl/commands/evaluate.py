@@ -5,6 +5,7 @@ Examples:
   uarm-rl evaluate policy=ik                          the inverse-kinematics controller, as a reference
   uarm-rl evaluate run=results/adaptive-penalty/seed0 tolerance_m=0.002 out=strict.csv
   uarm-rl evaluate positions=heldout out=heldout.csv  that file in the folder of every trained run
+  uarm-rl evaluate sim=mujoco out=mujoco.csv          the same in the other engine
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import os
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from tqdm import tqdm
 
@@ -27,13 +28,15 @@ from uarm_rl.files import POLICY
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
 
+_OBJECT: Final = ("object_size_m", "object_mass_kg")
+
 
 def run(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
     workers.one_thread()
     results_dir = checks.path("results_dir", settings["results_dir"])
     changed = ["positions"] if settings["positions"] != "test" else []
-    changed += [key for key in ("tolerance_m", "time_limit_s", "hold") if settings.get(key) is not None]
+    changed += [key for key in ("tolerance_m", "time_limit_s", "hold", "sim") if settings.get(key) is not None]
     file = checks.text("out", settings["out"] or "evaluation.csv")
     if changed and (not settings["out"] or (file == "evaluation.csv" and not settings["run"])):
         raise UsageError(
@@ -105,6 +108,8 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
+    if settings.get("sim"):  # another engine, the same object
+        run_settings = run_settings | {"sim": settings["sim"] | {key: run_settings["sim"][key] for key in _OBJECT}}
     where = positions.load_named(str(settings["positions"]))
     policy = load_policy(run_dir, settings["policy"], run_settings)
     make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])

@@ -15,7 +15,7 @@ from typing import Any
 from uarm_rl import checks, workers
 from uarm_rl.configuration import Settings, build_env, load_policy, read_run
 from uarm_rl.evaluation.film import check_film, film, write_film
-from uarm_rl.sim.pybullet_arm import SimArm
+from uarm_rl.sim.simulated_arm import SimulatedArm
 
 
 def run(settings: Settings) -> None:
@@ -40,7 +40,7 @@ def run(settings: Settings) -> None:
         picture_size=(width, height),
     )
     try:
-        assert isinstance(env.arm, SimArm)
+        assert isinstance(env.arm, SimulatedArm)
         pixel = partial(env.arm.pixel, width, height)
         pictures, successes = film(env, policy, resets, control_hz=control_hz, pixel=pixel)
     finally:

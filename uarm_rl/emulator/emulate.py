@@ -113,12 +113,15 @@ class Workplace:
             boot_s=real.boot_s,
             latency_s=real.serial_latency_s,
         )
+        engine, world = sim["name"], {key: value for key, value in sim.items() if key != "name"}
+        if engine != "pybullet":
+            raise ValueError(f"the emulator's world is PyBullet's and has no other engine; leave sim={engine} out")
         height_m = float(sim["object_size_m"])
         checks.number("nearest_m", nearest_m, low=0.0, high=0.3)
         self.world: World = _build(
             "sim",
             World,
-            sim,
+            world,
             _places(of_places, height_m, nearest_m, _position(object_position)),
             nearest_m=nearest_m,
             replace_object=replace_object,

@@ -1,7 +1,7 @@
 """The simulated arm.
 
-Read ``pybullet_arm.py`` first: arm, table and box in PyBullet, behind the task's protocols. ``servo.py`` holds the models of
-how joints answer a command.
+Read ``simulated_arm.py`` first: arm, table and box behind the task's protocols, as far as they do not depend on the engine.
+``pybullet_arm.py`` and ``mujoco_arm.py`` are the engines, ``servo.py`` the models of how joints answer a command.
 
 Uses ``task`` alone.
 """

@@ -1,0 +1,286 @@
+"""The arm, a table and a box in MuJoCo."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from ctypes.util import find_library
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uarm_rl.checks import how_to_add
+from uarm_rl.sim.servo import Servo
+from uarm_rl.sim.simulated_arm import (
+    CAMERA,
+    OBJECT_COLOUR,
+    PARKED_M,
+    TABLE_CENTRE_M,
+    TABLE_COLOUR,
+    TABLE_HALF_EXTENTS_M,
+    ObjectPose,
+    SimulatedArm,
+)
+from uarm_rl.task.arm import ArmError, JointPositions
+from uarm_rl.task.kinematics import Vector
+
+# Read by MuJoCo when it is imported; without it a picture needs a screen, and without the library the import would fail.
+if sys.platform.startswith("linux") and not os.environ.get("DISPLAY") and find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")
+
+try:
+    import mujoco
+except ModuleNotFoundError as error:
+    if error.name != "mujoco":
+        raise
+    raise ModuleNotFoundError(f"mujoco is not installed; {how_to_add('mujoco')}", name="mujoco") from None
+
+if mujoco.get_mju_user_warning() is None:
+    # What it would write to a file in the current folder, an explosion, is an exception here.
+    mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
+
+__all__ = ["MujocoArm"]
+
+_OLDEST: Final = (3, 8)
+_JOINTS: Final = ("joint1", "joint2", "joint3", "joint4")
+_ARM, _TABLE, _OBJECT = 1, 2, 4  # bits of what a shape is, and of what it touches
+_LOOKED_AT: Final = 1  # the group of shapes that a picture shows, as MuJoCo gives it to the URDF's visuals
+_TOUCHES_TABLE: Final = ("link4", "cup")  # the others stand or hang above it whatever the joints do
+_CONTACT_IMPEDANCE: Final = (0.999, 0.999, 0.001, 0.5, 2.0)  # MuJoCo's usual 0.95 lets the cup 4 mm into the box
+_MOTOR_IMPEDANCE: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's highest
+_MOTOR_SOFTNESS: Final = 0.01  # of what this leaves, with which the arm sags by 0.2 mm; much harder ones the solver cannot do
+
+
+def read_model() -> Any:
+    """The arm as MuJoCo reads it from its URDF, an ``MjSpec``; a site ``cup`` is the tip of the lip."""
+    with resources.as_file(resources.files("uarm_rl.sim") / "assets") as assets:
+        spec = mujoco.MjSpec.from_file(str(assets / "uarm_swift_pro.urdf"))
+    spec.body("cup").add_site(name="cup")
+    return spec
+
+
+def _touches(geom: Any) -> tuple[int, int]:
+    """What a shape is and what it touches, as MuJoCo's bits: arm and box, box and table, hand and table."""
+    if geom.name == "table":
+        return _TABLE, 0
+    if geom.name == "object":
+        return _OBJECT, _TABLE
+    return _ARM, _OBJECT | (_TABLE if geom.parent.name in _TOUCHES_TABLE else 0)
+
+
+class MujocoArm(SimulatedArm):
+    """``Arm`` and ``Target`` in one MuJoCo world.
+
+    *Motors.* PyBullet drives a joint by a row of its constraint solver: this velocity at the end of the step, with no more
+    than this torque. The row is solved together with those of the contacts, so that a free arm follows the servo exactly and
+    a blocked one pushes with its motors' whole torque and no more. MuJoCo's own servos are forces from before the contacts
+    are known: stiff enough to follow exactly they shake, and softer ones are another arm. But its friction loss of a joint
+    is such a row: velocity zero, with no more than this torque. So each joint has its motor's torque as friction loss, and
+    between the halves of a step (``mj_step1``, ``mj_step2``) the velocity that the servo asks for takes the place of zero.
+    The servo looks at the joints before every physics step, which is why a control step is not one ``mj_step`` of many.
+
+    *Contacts* are as stiff as the time step allows (a time constant of two steps). Shapes of the arm do not touch each other,
+    nor the table where they never could. A box that lies still sleeps until something comes to it.
+    """
+
+    def __init__(
+        self,
+        servo: Servo,
+        *,
+        control_hz: int,
+        physics_hz: int,
+        object_size_m: float,
+        object_mass_kg: float,
+        friction: float,
+        gui: bool = False,
+    ) -> None:
+        if tuple(map(int, mujoco.__version__.split(".")[:2])) < _OLDEST:
+            raise ArmError(
+                f"MuJoCo {mujoco.__version__} is too old: {'.'.join(map(str, _OLDEST))} is the oldest that works; "
+                "pip install --upgrade mujoco"
+            )
+        super().__init__(
+            servo,
+            control_hz=control_hz,
+            physics_hz=physics_hz,
+            object_size_m=object_size_m,
+            object_mass_kg=object_mass_kg,
+            friction=friction,
+            gui=gui,
+        )
+        model = self._spec(visuals=False).compile()
+        # Friction loss comes first among the constraints, in the order of the joints; nothing may stand before it.
+        assert model.neq == 0
+        assert model.jnt_dofadr[:4].tolist() == [0, 1, 2, 3]
+        model.dof_invweight0[:4] *= _MOTOR_SOFTNESS
+        self._model, self._data = model, mujoco.MjData(model)
+        data = self._data
+        self._angles, self._speeds, self._first_guess = data.qpos[:4], data.qvel[:4], data.qacc_warmstart[:4]
+        self._links = [model.body(name).id for name in ("link2", "link3", "link4")]
+        self._cup = model.site("cup").id
+        self._view: _View | None = None
+        self._window = _Window(self._spec(visuals=True).compile()) if gui else None
+        self.home()
+
+    def _spec(self, *, visuals: bool) -> Any:
+        """Arm, table and box, with the shapes that are only looked at or without."""
+        spec = read_model()
+        for geom in spec.geoms:
+            if not geom.contype and not visuals:
+                spec.delete(geom)
+        option, dt, half = spec.option, self._dt_s, self._object_size_m / 2.0
+        option.timestep = dt
+        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_SENSOR
+        option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        spec.body("link1").sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
+        box, table = mujoco.mjtGeom.mjGEOM_BOX, spec.worldbody
+        table.add_geom(
+            name="table", type=box, pos=TABLE_CENTRE_M, size=TABLE_HALF_EXTENTS_M, rgba=TABLE_COLOUR, group=_LOOKED_AT
+        )
+        thing = spec.worldbody.add_body(name="object", pos=(*PARKED_M, half))
+        thing.add_freejoint()
+        thing.add_geom(
+            name="object",
+            type=box,
+            size=(half, half, half),
+            mass=self._object_mass_kg,
+            rgba=OBJECT_COLOUR,
+            group=_LOOKED_AT,
+        )
+        if visuals:
+            spec.worldbody.add_light(pos=(0.6, -0.5, 1.2), dir=(-0.6, 0.5, -1.2), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+            spec.add_texture(
+                name="sky",
+                type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+                builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+                rgb1=(1.0, 1.0, 1.0),
+                width=8,
+                height=48,
+            )
+        for geom in spec.geoms:
+            if geom.contype:
+                geom.contype, geom.conaffinity = _touches(geom)
+                geom.friction[0] = self._friction
+                geom.solref, geom.solimp = (2.0 * dt, 1.0), _CONTACT_IMPEDANCE
+        for name, torque_nm in zip(_JOINTS, self.torques_nm, strict=True):
+            joint = spec.joint(name)
+            joint.frictionloss = torque_nm
+            joint.solimp_friction = _MOTOR_IMPEDANCE
+            joint.solref_limit, joint.solimp_limit = (2.0 * dt, 1.0), _CONTACT_IMPEDANCE
+        return spec
+
+    def home(self) -> None:
+        model, data = self._model, self._data
+        mujoco.mj_resetData(model, data)
+        self._angles[:] = self._start()
+        mujoco.mj_kinematics(model, data)
+
+    def read_joints(self) -> JointPositions:
+        q1, q2, q3, _ = self._angles.tolist()
+        return q1, q2, q3
+
+    def advance(self) -> int:
+        model, data, dt = self._model, self._data, self._dt_s
+        angles, speeds, first_guess, motor_velocities = self._angles, self._speeds, self._first_guess, self._motor_velocities
+        for _ in range(self._steps_per_control):
+            v1, v2, v3, v4 = velocities = speeds.tolist()
+            asked = w1, w2, w3, w4 = motor_velocities(angles.tolist(), velocities)
+            mujoco.mj_step1(model, data)
+            wanted = data.efc_aref
+            # The solver begins where every motor does what it is asked: if they all can, it is there already.
+            wanted[0] = first_guess[0] = (w1 - v1) / dt
+            wanted[1] = first_guess[1] = (w2 - v2) / dt
+            wanted[2] = first_guess[2] = (w3 - v3) / dt
+            wanted[3] = first_guess[3] = (w4 - v4) / dt
+            mujoco.mj_step2(model, data)
+        self._check_motion(self.read_joints(), asked)
+        if self._window is not None:
+            self._window.show(data)
+        return 1
+
+    def _put_object(self, centre_m: tuple[float, float, float]) -> None:
+        self._data.qpos[4:11] = (*centre_m, 1.0, 0.0, 0.0, 0.0)  # which wakes it
+        self._data.qvel[4:10] = 0.0
+
+    def _object_pose(self) -> ObjectPose:
+        x, y, z, w, a, b, c = self._data.qpos[4:11].tolist()
+        return x, y, z, w, a, b, c
+
+    def link_ends(self) -> Vector:
+        mujoco.mj_kinematics(self._model, self._data)
+        return np.array([*self._data.xpos[self._links], self._data.site_xpos[self._cup]])
+
+    def render(self, width: int, height: int) -> NDArray[np.uint8]:
+        if self._view is None or self._view.size != (width, height):
+            self._view = _View(self._spec(visuals=True), (width, height))
+        return self._view.picture(self._data)
+
+    def close(self) -> None:
+        for part in (self._view, self._window):
+            if part is not None:
+                part.close()
+        self._view = self._window = None
+
+
+def _camera(camera: Any) -> None:
+    """Point one of MuJoCo's cameras at the arm."""
+    camera.lookat[:] = CAMERA.target_m
+    camera.distance, camera.azimuth, camera.elevation = CAMERA.distance_m, CAMERA.azimuth_deg, CAMERA.elevation_deg
+
+
+class _View:
+    """Pictures of one size."""
+
+    def __init__(self, spec: Any, size: tuple[int, int]) -> None:
+        self.size = size
+        visual = spec.visual
+        visual.global_.offwidth, visual.global_.offheight = size
+        visual.global_.fovy = CAMERA.view_deg
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._camera, self._options = mujoco.MjvCamera(), mujoco.MjvOption()
+        _camera(self._camera)
+        self._options.geomgroup[:] = [group == _LOOKED_AT for group in range(6)]
+        try:
+            self._renderer = mujoco.Renderer(self._model, height=size[1], width=size[0])
+        except Exception as error:  # of whatever kind, as the many ways to OpenGL have it
+            raise ArmError(
+                "MuJoCo cannot draw here: it needs a screen, or EGL (on Debian and Ubuntu: apt-get install libegl1 "
+                "libgl1-mesa-dri); sim=pybullet draws without either, where it is installed"
+            ) from error
+
+    def picture(self, data: Any) -> NDArray[np.uint8]:
+        self._data.qpos[:] = data.qpos
+        mujoco.mj_forward(self._model, self._data)
+        self._renderer.update_scene(self._data, self._camera, self._options)
+        picture: NDArray[np.uint8] = self._renderer.render()
+        return picture
+
+    def close(self) -> None:
+        self._renderer.close()
+
+
+class _Window:
+    """MuJoCo's own viewer."""
+
+    def __init__(self, model: Any) -> None:
+        import mujoco.viewer as viewer
+
+        self._model, self._data = model, mujoco.MjData(model)
+        self._handle = viewer.launch_passive(self._model, self._data, show_left_ui=False, show_right_ui=False)
+        with self._handle.lock():
+            _camera(self._handle.cam)
+            self._handle.opt.geomgroup[:] = [group == _LOOKED_AT for group in range(6)]
+
+    def show(self, data: Any) -> None:
+        with self._handle.lock():
+            self._data.qpos[:] = data.qpos
+            mujoco.mj_forward(self._model, self._data)
+        self._handle.sync()
+
+    def close(self) -> None:
+        self._handle.close()
