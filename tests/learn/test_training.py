@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import FAST
+from tests.conftest import FAST, uarm_rl
 from uarm_rl import configuration
 from uarm_rl.commands import train as commands_train
 from uarm_rl.evaluation import evaluate
@@ -211,6 +211,13 @@ def test_a_healthy_training_is_not_warned_of(tmp_path):
     rows = outcome(train(tmp_path))["progress"]
     assert {row["warning"] for row in rows} == {""}
     assert all(float(row["q_min"]) <= float(row["q_max"]) and 0 <= float(row["saturation"]) <= 1 for row in rows[1:])
+
+
+def test_a_training_whose_bar_was_switched_off_is_trained_all_the_same(tmp_path):
+    """By the variable of tqdm, which reads it when it is imported."""
+    done = uarm_rl("train", *FAST, "episodes=1", "simulate_beside=false", cwd=tmp_path, environment={"TQDM_DISABLE": "1"})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(list(tmp_path.glob("results/*/seed0/policy.safetensors"))) == 1
 
 
 def test_a_dead_simulator_is_named():

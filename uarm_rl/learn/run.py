@@ -226,7 +226,7 @@ class _Bar:
     def tick(self) -> None:
         """Show that time passes where an episode takes long, as with large batches."""
         now = time.time()
-        if now - self._bar.last_print_t >= SILENCE_S:
+        if not self._bar.disable and now - self._bar.last_print_t >= SILENCE_S:
             self._bar.last_print_t = now
             self._bar.refresh()
 
