@@ -267,7 +267,7 @@ def test_spoiled_run_folders_are_named(copied):
 def test_a_nan_position_is_named_with_its_line(copied):
     (copied / "bad.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.2,nan,0.03\n")
     words = ("evaluate", "run=results/uniform-plain/seed0", "positions=bad.csv", "out=x.csv")
-    assert_refused(uarm_rl(*words, cwd=copied), 2, "bad.csv, line 3", "cannot reach")
+    assert_refused(uarm_rl(*words, cwd=copied), 1, "bad.csv, line 3", "must be a finite number")
     assert not (copied / "x.csv").exists()
 
 

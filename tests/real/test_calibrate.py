@@ -43,7 +43,7 @@ def test_the_lens_then_the_mount(run, tmp_path):  # noqa: F811
         (["calibrate-camera", "camera=none", "count=0"], 2, "count must be a whole number of at least 1"),
         (["calibrate-camera", "camera=none", "board.rows=1"], 2, "rows must be a whole number from 3 to 50"),
         (["calibrate-hand-eye"], 1, "lens.json cannot be read"),
-        (["calibrate-hand-eye", "camera=none", "lens=good.json"], 1, "observations.csv cannot be read"),
+        (["calibrate-hand-eye", "camera=none", "lens=good.json"], 1, "observations cannot be read"),
         (["calibrate-hand-eye", "lens=good.json", "camera=file", "camera.path=small.png"], 1, "is for 320 x 240"),
     ],
 )

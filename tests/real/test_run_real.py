@@ -485,7 +485,7 @@ TARGET = ("--target", 0.2, 0.05, 0.03)
         (["port=PORT", *TARGET, "--policy", "ik", "--trials", "0"], 2, ["trials must be a whole number of at least 1"]),
         (["port=PORT", *TARGET, "--policy", "ik", "--feed", "99"], 2, ["feed must be a number from 0.1 to 30"]),
         (["port=PORT", *TARGET, "--policy", "ik", "limits.z_m=[0.1]"], 2, ["limits.z_m must be two numbers"]),
-        (["port=PORT", *TARGET, "--policy", "ik", "--nonsense", "1"], 2, ["there is no setting 'nonsense'"]),
+        (["port=PORT", *TARGET, "--policy", "ik", "--nonsense", "1"], 2, ["run-real has no setting 'nonsense'"]),
         (["port=PORT", *TARGET, "--policy", "ik", "max_press_m=0.001"], 2, ["max_press_m must be a number from 0.002"]),
     ],
 )
