@@ -215,7 +215,7 @@ def test_a_healthy_training_is_not_warned_of(tmp_path):
 
 def test_a_training_whose_bar_was_switched_off_is_trained_all_the_same(tmp_path):
     """By the variable of tqdm, which reads it when it is imported."""
-    done = uarm_rl("train", *FAST, "episodes=1", "simulate_beside=false", cwd=tmp_path, environment={"TQDM_DISABLE": "1"})
+    done = uarm_rl("train", *FAST, "simulate_beside=false", cwd=tmp_path, environment={"TQDM_DISABLE": "1"})
     assert (done.returncode, done.stderr) == (0, "")
     assert len(list(tmp_path.glob("results/*/seed0/policy.safetensors"))) == 1
 
