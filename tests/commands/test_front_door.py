@@ -41,7 +41,7 @@ def test_what_is_wrong_is_said_before_anything_is_done(tmp_path, words, parts):
 
 
 def test_an_extra_that_is_missing_is_named_with_its_pip_line(tmp_path):
-    hide = "import sys; sys.modules.update({'hydra_plugins.hydra_joblib_launcher': None, 'tensorboard': None}); "
+    hide = "import sys; sys.modules.update({'hydra_plugins': None, 'tensorboard': None}); "
     code = f"{hide}from uarm_rl.cli import main; main(sys.argv[1:])"
     for words, extra in ((["-m", "hydra/launcher=joblib"], "launch"), (["tensorboard=true", *QUICK], "tensorboard")):
         command = [sys.executable, "-c", code, "train", *words]

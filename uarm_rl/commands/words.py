@@ -112,7 +112,14 @@ def given_twice(words: Iterable[str]) -> list[str]:
 
 def _launchers() -> list[str]:
     """The launchers of Hydra that are installed."""
-    return ["basic", *(name for name, module in _LAUNCHER_MODULES.items() if find_spec(module))]
+    return ["basic", *(name for name, module in _LAUNCHER_MODULES.items() if _is_there(module))]
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # of the package around it
+        return False
 
 
 def _is_job_count(word: str) -> bool:
