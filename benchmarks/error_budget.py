@@ -39,6 +39,7 @@ from uarm_rl.real.vision.camera import OpenMVCamera
 from uarm_rl.report import figures, statistics, tables
 from uarm_rl.task.arm import ArmError
 from uarm_rl.task.policy import ActorPolicy
+from uarm_rl.workers import cores
 
 HERE: Final = Path(__file__).parent
 
@@ -116,7 +117,7 @@ def main() -> None:
         (sweep, value, seed) for sweep, (_, values, _) in SWEEPS.items() for value in values for seed in range(arguments.arms)
     ]
     work = partial(trials_of, arguments.policy, arguments.trials)
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
+    with ProcessPoolExecutor(cores(), get_context("spawn")) as pool:
         rows = [row for rows in tqdm(pool.map(work, points), total=len(points), unit="arm") for row in rows]
     table = pd.DataFrame(rows).groupby(["sweep", "value"], sort=False)["success"].agg(trials="size", held="sum").reset_index()
     table["success_rate"] = table["held"] / table["trials"]

@@ -39,14 +39,17 @@ def read(path: Path, *, at_most: int = 1 << 28) -> bytes:
 
     Raises :class:`OSError`, at once, for anything else: a pipe would be waited for, a device never end.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    with open(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
+    with open(path, "rb", opener=_at_once) as file:
+        status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "this is no plain file", str(path))
         if status.st_size > at_most:
             raise OSError(errno.EFBIG, f"it is larger than {at_most:,} bytes, as no file of its kind is", str(path))
         return file.read()
+
+
+def _at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)  # Windows has no pipes among its files
 
 
 def remove(path: Path) -> None:
@@ -60,14 +63,16 @@ def remove(path: Path) -> None:
 def write_and_flush(path: Path, data: bytes) -> None:
     """Write a new file and have it on the disk when this returns; what was there, a link even, is removed."""
     path.unlink(missing_ok=True)
-    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666), "wb") as file:
+    with open(path, "xb", opener=_at_once) as file:  # which follows no link
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
 
 
 def flush_folder(folder: Path) -> None:
-    """Have the names in a folder on the disk: without it a rename may be undone by a power failure."""
+    """Have the names in a folder on the disk: without it a rename may be undone by a power failure. (Windows cannot.)"""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

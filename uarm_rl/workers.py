@@ -33,6 +33,12 @@ def one_thread() -> None:
     threadpool_limits(1, user_api="blas")
 
 
+def cores() -> int:
+    """How many of the machine's cores this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # macOS and Windows have none
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
 def _end_with(sentinel: int) -> None:
     wait([sentinel])
     os._exit(1)

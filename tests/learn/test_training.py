@@ -158,9 +158,7 @@ def test_an_interrupted_run_is_not_resumed_with_another_configuration(tmp_path, 
 def test_a_folder_in_use_is_refused(tmp_path):
     run = tmp_path / "adaptive-penalty" / "seed0"
     run.mkdir(parents=True)
-    hold = (
-        "import fcntl, sys; lock = open(sys.argv[1], 'w'); fcntl.flock(lock, fcntl.LOCK_EX); print('held', flush=True); input()"
-    )
+    hold = "import filelock, sys; lock = filelock.FileLock(sys.argv[1]); lock.acquire(); print('held', flush=True); input()"
     with subprocess.Popen(
         [sys.executable, "-c", hold, str(run / ".lock")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as other:

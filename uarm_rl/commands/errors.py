@@ -10,7 +10,8 @@ from uarm_rl.task.arm import ArmError
 #: Libraries that an installation may lack on purpose.
 _MISSING: Final = {
     "cv2": f"camera and emulator need it; {how_to_add('real')}",
-    "torch": "training needs it; on Linux x86-64 with Python 3.10 or 3.11 pip installs it with uarm-rl",
+    "termios": "the emulator's ports are pseudo-terminals, which Windows does not have",
+    "torch": "training needs it; pip install -c constraints.txt torch",
 }
 _ENGINES: Final = ("pybullet", "mujoco")  # their modules say it themselves
 

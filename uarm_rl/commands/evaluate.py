@@ -10,7 +10,6 @@ Examples:
 
 from __future__ import annotations
 
-import os
 import shlex
 from functools import partial
 from pathlib import Path
@@ -114,8 +113,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     policy = load_policy(run_dir, settings["policy"], run_settings)
     make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
     make().close()  # a bad value shows here, as a sentence, and not in a worker
-    cores = len(os.sched_getaffinity(0))
-    processes = cores if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
+    processes = workers.cores() if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
     traced = checks.integer("traces", settings["traces"], low=0)
     tested = [] if settings["overwrite"] or not out.exists() else _tested(out)
     if tested:  # only the traces are missing

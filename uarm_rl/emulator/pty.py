@@ -6,7 +6,6 @@ import os
 import select
 import threading
 import time
-import tty
 from contextlib import suppress
 from types import TracebackType
 from typing import Protocol
@@ -43,6 +42,8 @@ class PtyServer:
     """
 
     def __init__(self, device: Device, *, speed: float = 1.0, reset_on_open: bool = True) -> None:
+        import tty  # here, because Windows lacks it and devices in memory do without
+
         self._device = device
         self._speed = checks.number("speed", speed, low=0.0, high=MAX_SPEED, open_low=True)
         self._reset_on_open = reset_on_open

@@ -13,7 +13,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
 from types import FrameType
@@ -94,7 +94,8 @@ def _locked(run_dir: Path) -> Iterator[None]:
                 yield
             finally:
                 if is_finished(run_dir):
-                    path.unlink(missing_ok=True)  # whoever waits for the lock notices that its file is another
+                    with suppress(PermissionError):  # Windows keeps a file that is open; filelock itself removes it there
+                        path.unlink(missing_ok=True)  # whoever waits for the lock notices that its file is another
     except Timeout:
         raise RunFolderError(f"another process is training in {run_dir}; wait for it or choose another name") from None
 

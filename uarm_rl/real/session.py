@@ -43,7 +43,7 @@ Say = Callable[[str], None]
 
 TRIALS: Final = "trials.csv"
 
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_SIGNALS: Final = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _PTY_MAJORS: Final = range(136, 144)  # Linux's numbers for the slaves of pseudo-terminals
 _SEEN_FROM_M: Final = 0.16  # from the base's axis to what a camera ahead of the cup sees
 _FEED: Final = 20.0
@@ -87,9 +87,9 @@ def is_emulated(port: str) -> bool:
     """Whether a port is a pseudo-terminal: then no real arm is behind it."""
     try:
         status = os.stat(port)
-    except OSError:
-        return False  # it will not open either
-    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) in _PTY_MAJORS
+        return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) in _PTY_MAJORS
+    except (OSError, AttributeError):  # it will not open either; or this is Windows, which has no pseudo-terminals
+        return False
 
 
 def emulated_camera(port: str) -> str | None:
