@@ -7,6 +7,7 @@ A command comes in without its number and without blanks, e.g. ``G2206B90L80R40F
 from __future__ import annotations
 
 import math
+import random
 import re
 from collections.abc import Callable
 from typing import Final
@@ -28,6 +29,7 @@ class Machine:
     def __init__(self, settings: Settings, joints: Joints) -> None:
         self.settings = settings
         self.joints = joints
+        self._noise = random.Random(settings.noise_seed)
         self.power_12v = settings.power_12v
         self.tool_mode = settings.tool_mode  # the tool mode survives a reset (EEPROM)
         self.reset()
@@ -63,7 +65,8 @@ class Machine:
     def encoders(self) -> MotorAngles:
         """The joint angles as the encoders see them."""
         pairs = zip(self.joints.motor_deg(), self.settings.encoder_offset_deg, strict=True)
-        b, left, right = (angle + offset for angle, offset in pairs)
+        noise_deg = self.settings.encoder_noise_deg
+        b, left, right = (angle + offset + self._noise.gauss(0.0, noise_deg) for angle, offset in pairs)
         return geometry.quantised((b, left, right))
 
     def drive(self, dt_s: float) -> None:

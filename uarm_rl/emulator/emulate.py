@@ -105,11 +105,13 @@ class Workplace:
         camera_faults = tuple(_fault(CameraFault, fault) for fault in faults["camera"])
         camera_truth = _calibration(calibration, image_size)
         paint, top = _appearance(look, colour)
-        seeds = np.random.SeedSequence(checks.integer("seed", seed, low=0)).spawn(3)
-        of_arm, of_camera, of_places = (np.random.default_rng(sequence) for sequence in seeds)
+        seeds = np.random.SeedSequence(checks.integer("seed", seed, low=0)).spawn(4)
+        of_arm, of_camera, of_places, of_encoders = (np.random.default_rng(sequence) for sequence in seeds)
         settings = Settings(
             firmware=version,
             encoder_offset_deg=real.draw_joint_offset_deg(of_arm),
+            encoder_noise_deg=real.encoder_noise_deg,
+            noise_seed=int(of_encoders.integers(2**32)),
             boot_s=real.boot_s,
             latency_s=real.serial_latency_s,
         )

@@ -24,6 +24,8 @@ class Settings:
     power_12v: bool = True
     tool_mode: int = 0
     encoder_offset_deg: MotorAngles = (0.0, 0.0, 0.0)  # what the encoders read beyond the truth (calibration)
+    encoder_noise_deg: float = 0.0  # standard deviation of a reading, before it becomes a count
+    noise_seed: int = 0
     boot_s: float = 1.0  # boot loader; 1 to 2 s are said, not measured
     latency_s: float = 0.0  # of cable and host, added to every byte sent
     false_ok: bool = True  # encoder queries in motion answer the move's ok too early, as the firmware does
@@ -48,6 +50,7 @@ _HIGHEST: Final = {
     "boot_s": 10.0,
     "backlash_deg": 5.0,
     "joint_offset_deg": 5.0,
+    "encoder_noise_deg": 1.0,
     "grip_s": 5.0,
     "mount_offset_mm": 50.0,
     "mount_tilt_deg": 30.0,
@@ -66,6 +69,7 @@ class Realism:
     boot_s: float
     backlash_deg: float
     joint_offset_deg: float
+    encoder_noise_deg: float
     suction_n: float
     grip_s: float
     mount_offset_mm: float

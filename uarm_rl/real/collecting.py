@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
@@ -59,7 +59,7 @@ Ask = Callable[[str], str]
 def collect_board_pictures(camera: Camera, board: Board, folder: Path, ask: Ask, count: int = 15) -> None:
     """Take pictures until ``count`` of them show the whole board, and write them to ``folder`` as PNG.
 
-    Answering ``done`` ends it early. Pictures that are there already count.
+    Answering ``done`` ends it early. Pictures that are there already count, and none is overwritten.
     """
     folder.mkdir(parents=True, exist_ok=True)
     number = len(list(folder.glob("board*.png")))
@@ -76,9 +76,15 @@ def collect_board_pictures(camera: Camera, board: Board, folder: Path, ask: Ask,
             word = "the whole board is not visible, try again"
             continue
         number += 1
-        path = folder / f"board{number:02d}.png"
+        path = folder / f"board{_next_number('board', [path.name for path in folder.iterdir()]):02d}.png"
         write_picture(path, picture)
         word = f"{path.name} is good"
+
+
+def _next_number(stem: str, names: Iterable[str]) -> int:
+    """Behind the highest number that a picture has: what was deleted leaves a gap, and nothing is overwritten."""
+    numbers = (re.fullmatch(rf"{re.escape(stem)}(\d+)\.png", name) for name in names)
+    return max((int(number[1]) for number in numbers if number), default=0) + 1
 
 
 def calibrate_intrinsics_from_folder(folder: Path, board: Board, camera: str) -> tuple[Intrinsics, str]:
@@ -284,8 +290,10 @@ def _views(guess: Calibration, touch_m: Sequence[float], heights_m: Sequence[flo
 
 
 def _keep(csv_path: Path, observation: Observation, picture: Picture) -> None:
-    number = len(list(csv_path.parent.glob(f"{csv_path.stem}-*.png"))) + 1
-    name = f"{csv_path.stem}-{number:03d}.png"
     csv_path.parent.mkdir(parents=True, exist_ok=True)
+    taken = [path.name for path in csv_path.parent.iterdir()]
+    if csv_path.exists():  # a row may name a picture that was deleted
+        taken += map(str, csvfile.read(csv_path, columns.OBSERVATIONS).values["picture"])
+    name = f"{csv_path.stem}-{_next_number(f'{csv_path.stem}-', taken):03d}.png"
     write_picture(csv_path.with_name(name), picture)
     append_observations(csv_path, [observation], [name])

@@ -200,6 +200,11 @@ class SwiftArm:
             self.rest(self._period_s)
         return max(1, round((self._link.now_s() - began_s) * self._speed / self._period_s))
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether the firmware has confirmed the last move."""
+        return not self._in_motion
+
     def rest(self, seconds: float) -> None:
         """Let ``seconds`` of the arm's time pass, and hear what it has to say."""
         self._link.listen(seconds / self._speed)

@@ -231,13 +231,22 @@ def _pick_up(arm: SwiftArm, target_m: Vector, task: Task) -> str:
         if press_m + _PRESS_STEP_M > task.max_press_m + 1e-9:
             break
         press_m += _PRESS_STEP_M
+    if not sealed:
+        _let_go(arm, top_m)
+        return f"the cup did not seal on the object, pressed {1000.0 * press_m:.0f} mm into its upper surface"
     _rise(arm, top_m + LIFT_M)
-    if sealed and _holds(arm, _HANG_S, soon=False):
+    if _holds(arm, _HANG_S, soon=False):
         return ""
+    _straight(arm, top_m)
+    _let_go(arm, top_m)
+    return "the object fell off while it was lifted; check the cup, the hose and the object's weight and surface"
+
+
+def _let_go(arm: SwiftArm, top_m: float) -> None:
+    """Switch the pump off down there, and rise: what half hangs from the cup, or sealed late, does not fall."""
     arm.pump_off()
-    if sealed:
-        return "the object fell off while it was lifted; check the cup, the hose and the object's weight and surface"
-    return f"the cup did not seal on the object, pressed {1000.0 * press_m:.0f} mm into its upper surface"
+    arm.rest(_RELEASE_S)
+    _rise(arm, top_m + LIFT_M)
 
 
 def _fetch(arm: SwiftArm, target_m: Vector, task: Task) -> bool:
@@ -252,9 +261,7 @@ def _put_down(arm: SwiftArm, place_m: Vector) -> str:
     arm.move_joints(kinematics.inverse(place_m + np.array([0.0, 0.0, LIFT_M])).tolist())
     lost = arm.pump_state() is not PumpState.HOLDING
     _straight(arm, float(place_m[2]))
-    arm.pump_off()
-    arm.rest(_RELEASE_S)
-    _rise(arm, float(place_m[2]) + LIFT_M)
+    _let_go(arm, float(place_m[2]))
     return "the object was held after the lift and fell off on the way to where it goes" if lost else ""
 
 

@@ -71,6 +71,8 @@ class SimulatedArm(ABC):
     Raises :class:`ValueError` with a sentence for values out of range, :class:`ArmError` where no window can be opened.
     """
 
+    at_rest: Final = False  # it is looked at in motion
+
     def __init__(
         self,
         servo: Servo,

@@ -43,6 +43,11 @@ class Arm(Protocol):
         """
         ...
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm itself says that it stands still, as a real one does; of others it is seen in their joints."""
+        ...
+
     def close(self) -> None:
         """Let go of the arm; closing twice is fine."""
         ...

@@ -144,7 +144,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             control_steps += passed
             self._trace.append(self.state())
             timed_out = self._elapsed_steps >= self._step_limit
-            released = self._hold.releases(control_steps, _travel(last, self._joints))
+            travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
+            released = self._hold.releases(control_steps, travel_rad)
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
         terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object)
