@@ -34,8 +34,8 @@ from uarm_rl.real.link import Link
 from uarm_rl.real.search import CameraSearch
 from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import Task, run_trials
-from uarm_rl.real.vision.calibration import nominal
 from uarm_rl.real.vision.camera import OpenMVCamera
+from uarm_rl.real.vision.camera_model import nominal
 from uarm_rl.report import figures, statistics, tables
 from uarm_rl.task.arm import ArmError
 from uarm_rl.task.policy import ActorPolicy

@@ -18,9 +18,16 @@ SIDES_BGR = ((15, 15, 120), (15, 15, 150), (15, 15, 180), (15, 15, 100))
 SIDE_NORMALS = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
+def base_to_pixel(points_m, joints, calibration):
+    """Pixels (n, 2) of points in the base frame (n, 3): the way back from ``projection.pixel_to_base``."""
+    transform = projection.base_from_camera(joints, calibration)
+    points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
+    return calibration.lens.pixels((points - transform[:3, 3]) @ transform[:3, :3])
+
+
 def draw_box(joints, calibration, top_m, yaw=0.0, size_m=(0.03, 0.03, 0.03), *, sides=True, noise=0.0, seed=0):
     """What the camera sees of a red box whose upper surface is centred at ``top_m``; sides may have the table's colour."""
-    width, height = calibration.image_size
+    width, height = calibration.lens.image_size
     image = np.full((height * SCALE, width * SCALE, 3), TABLE_BGR, np.uint8)
     turn = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     corners = np.array([[x, y, z] for z in (0.0, -1.0) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))])
@@ -36,7 +43,7 @@ def draw_box(joints, calibration, top_m, yaw=0.0, size_m=(0.03, 0.03, 0.03), *, 
 
 def draw_dot(joints, calibration, centre_m, radius_m=0.008):
     """A flat red dot."""
-    width, height = calibration.image_size
+    width, height = calibration.lens.image_size
     image = np.full((height * SCALE, width * SCALE, 3), TABLE_BGR, np.uint8)
     angles = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
     rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(40)], axis=1)
@@ -48,7 +55,7 @@ def draw_dot(joints, calibration, centre_m, radius_m=0.008):
 def fill(image, corners_m, colour, joints, calibration):
     edges = zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True)
     points = np.concatenate([first + np.linspace(0.0, 1.0, 8)[:, None] * (second - first) for first, second in edges])
-    pixels = projection.base_to_pixel(points, joints, calibration)  # lens distortion bends the edges
+    pixels = base_to_pixel(points, joints, calibration)  # lens distortion bends the edges
     cv2.fillConvexPoly(image, np.round(((pixels + 0.5) * SCALE - 0.5) * 256).astype(np.int32), colour, cv2.LINE_8, 8)
 
 
@@ -78,7 +85,7 @@ def draw_plate(texture, size_m, camera_from_plate, intrinsics):
 @cache  # by identity: undistorting so many pixels takes a while
 def _rays(intrinsics):
     v, u = np.indices(intrinsics.image_size[::-1]).reshape(2, -1)
-    plane = projection.image_plane_from_pixel(np.stack([u, v], axis=1), intrinsics)
+    plane = intrinsics.image_plane(np.stack([u, v], axis=1))
     return np.column_stack([plane, np.ones(len(plane))])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import struct
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.drawing import base_to_pixel
 from tests.emulator.test_physics import configured
 from uarm_rl import configuration
 from uarm_rl.emulator.camera import SnapCamera
@@ -19,9 +21,8 @@ from uarm_rl.emulator.emulate import Workplace
 from uarm_rl.emulator.faults import CameraFault
 from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.pty import PtyServer
-from uarm_rl.real.vision.calibration import nominal
 from uarm_rl.real.vision.camera import OpenMVCamera
-from uarm_rl.real.vision.projection import base_to_pixel, image_plane_from_pixel, pixel_from_camera
+from uarm_rl.real.vision.camera_model import nominal
 from uarm_rl.task import kinematics
 
 TOP_M = (0.25, 0.03, 0.03)
@@ -67,9 +68,9 @@ def tag_corners(picture):
 def middle(corners_px):
     """Where the diagonals cross, straightened: the pixel of the tag's middle."""
     calibration = nominal((640, 480))
-    a, b, c, d = image_plane_from_pixel(corners_px, calibration)
+    a, b, c, d = calibration.lens.image_plane(corners_px)
     share = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)[0]
-    return pixel_from_camera([[*(a + share * (c - a)), 1.0]], calibration)[0]
+    return calibration.lens.pixels([[*(a + share * (c - a)), 1.0]])[0]
 
 
 def outline_px(place, top_m, yaw_rad):
@@ -124,7 +125,7 @@ def test_the_lens_bends_the_picture(stickered):
     top_m = np.array([0.2, 0.09, 0.03])
     stickered.world.place_object(top_m)
     calibration = nominal()
-    straight = type(calibration)(**{**vars(calibration), "distortion": np.zeros(5)})
+    straight = replace(calibration, lens=replace(calibration.lens, distortion=np.zeros(5)))
     assert np.linalg.norm(base_to_pixel(top_m, joints, straight)[0] - redness_centre(stickered.picture())) > 5.0
 
 

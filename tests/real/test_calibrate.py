@@ -13,7 +13,7 @@ from uarm_rl.emulator.firmware import PARKED_DEG
 from uarm_rl.emulator.motion import KinematicJoints
 from uarm_rl.emulator.pty import PtyServer
 from uarm_rl.real.collecting import append_observations, write_picture
-from uarm_rl.real.vision.calibration import Calibration, Intrinsics
+from uarm_rl.real.vision.camera_model import Calibration, Intrinsics
 
 
 def test_the_lens_then_the_mount(run, tmp_path):  # noqa: F811

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.bench import Bench
-from tests.drawing import draw_dot, draw_plate, pose
+from tests.drawing import base_to_pixel, draw_dot, draw_plate, pose
 from uarm_rl.columns import OBSERVATIONS
 from uarm_rl.real.collecting import (
     append_observations,
@@ -23,16 +23,11 @@ from uarm_rl.real.collecting import (
 )
 from uarm_rl.real.link import LinkLostError
 from uarm_rl.real.vision import projection
-from uarm_rl.real.vision.calibration import (
-    Board,
-    CalibrationError,
-    Observation,
-    calibrate_hand_eye,
-    nominal,
-    nominal_intrinsics,
-)
 from uarm_rl.real.vision.camera import CameraError, StillImages
+from uarm_rl.real.vision.camera_model import CalibrationError, Observation, nominal, nominal_intrinsics
 from uarm_rl.real.vision.detection import ColourDetector, TargetNotFoundError
+from uarm_rl.real.vision.hand_eye_fit import calibrate_hand_eye
+from uarm_rl.real.vision.lens_fit import Board
 from uarm_rl.task import kinematics
 
 LENS = nominal_intrinsics()
@@ -113,7 +108,7 @@ def test_marks_are_found_in_the_pictures_of_a_table(tmp_path):
     row = ["one.png", "", "", *map(str, joints), *map(str, mark)]
     (tmp_path / "touches.csv").write_text(",".join(OBSERVATIONS) + "\n" + ",".join(row) + "\n")
     (seen,) = read_observations(tmp_path / "touches.csv", LENS, RED)
-    expected = projection.base_to_pixel(mark, joints, nominal())[0]
+    expected = base_to_pixel(mark, joints, nominal())[0]
     assert seen.pixel_px == pytest.approx(expected, abs=0.3)
     with pytest.raises(CalibrationError, match="640 x 480"):
         read_observations(tmp_path / "touches.csv", nominal_intrinsics((640, 480)), RED)
@@ -169,7 +164,7 @@ class Desk:
         self.bench, self.true, self.generator = bench, true, generator
         self.mark = None
         self.asked = []
-        self.image_size = true.image_size
+        self.image_size = true.lens.image_size
 
     def joints(self):
         return kinematics.from_motor_deg(*self.bench.joints.motor_deg())

@@ -18,8 +18,8 @@ from uarm_rl.emulator.motion import KinematicJoints
 from uarm_rl.emulator.pty import PtyServer
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.real import doctor
-from uarm_rl.real.vision.calibration import nominal
 from uarm_rl.real.vision.camera import CameraError
+from uarm_rl.real.vision.camera_model import nominal
 
 
 def listed(device, vid=None, pid=None):

@@ -10,17 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.drawing import draw_box, pose
-from uarm_rl.real.vision.calibration import nominal
+from tests.drawing import base_to_pixel, draw_box, pose
+from uarm_rl.real.vision.camera_model import nominal
 from uarm_rl.real.vision.detection import ColourDetector
 from uarm_rl.real.vision.projection import (
     base_from_camera,
     base_from_cup,
-    base_to_pixel,
-    image_plane_from_pixel,
     locate_box,
     look_at,
-    pixel_from_camera,
     pixel_to_base,
 )
 from uarm_rl.task import kinematics
@@ -31,9 +28,13 @@ MIDDLE = (159.5, 119.5)
 RED = ColourDetector((170, 120, 60), (10, 255, 255))
 
 
+def with_distortion(calibration, *distortion):
+    return replace(calibration, lens=replace(calibration.lens, distortion=np.array(distortion)))
+
+
 def straight(image_size=(320, 240)):
     """The nominal camera without distortion, where everything can be told by hand."""
-    return replace(nominal(image_size), distortion=np.zeros(5))
+    return with_distortion(nominal(image_size), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_the_middle_of_the_picture_is_below_the_mount():
@@ -64,22 +65,22 @@ def test_the_cups_frame_turns_with_joint1_alone():
 
 def test_distortion_is_opencvs_formula():
     """Brown and Conrady's polynomial, written out."""
-    calibration = replace(NOMINAL, distortion=np.array([-0.3, 0.1, 0.002, -0.001, 0.01]))
+    calibration = with_distortion(NOMINAL, -0.3, 0.1, 0.002, -0.001, 0.01)
     x, y = 0.4, -0.3
-    k1, k2, p1, p2, k3 = calibration.distortion
+    k1, k2, p1, p2, k3 = calibration.lens.distortion
     r2 = x * x + y * y
     radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
     bent = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    focal = calibration.camera_matrix[0, 0]
+    focal = calibration.lens.camera_matrix[0, 0]
     pixel = focal * np.array(bent) + MIDDLE
-    np.testing.assert_allclose(pixel_from_camera((2 * x, 2 * y, 2.0), calibration), [pixel], atol=1e-9)
-    np.testing.assert_allclose(image_plane_from_pixel(pixel, calibration), [(x, y)], atol=1e-9)
+    np.testing.assert_allclose(calibration.lens.pixels((2 * x, 2 * y, 2.0)), [pixel], atol=1e-9)
+    np.testing.assert_allclose(calibration.lens.image_plane(pixel), [(x, y)], atol=1e-9)
 
 
 def some_calibration(tilt, shift, k1):
     mount = NOMINAL.cup_from_camera @ pose(tilt, (0.0, 0.0, 0.0))
     mount[:3, 3] += shift
-    return replace(NOMINAL, cup_from_camera=mount, distortion=np.array([k1, 0.15, 0.001, 0.0, 0.0]))
+    return with_distortion(replace(NOMINAL, cup_from_camera=mount), k1, 0.15, 0.001, 0.0, 0.0)
 
 
 angles = st.tuples(*[st.floats(-0.15, 0.15)] * 3)
@@ -102,7 +103,7 @@ def test_camera_cup_and_base_agree(pixel, cup, tilt, shift, k1):
     """The same point through the camera's frame by hand."""
     calibration = some_calibration(tilt, shift, k1)
     joints = kinematics.inverse(cup)
-    ray = np.array([*image_plane_from_pixel(pixel, calibration)[0], 1.0, 0.0])
+    ray = np.array([*calibration.lens.image_plane(pixel)[0], 1.0, 0.0])
     transform = base_from_cup(joints) @ calibration.cup_from_camera
     point = transform[:, 3] + 0.123 * (transform @ ray)
     np.testing.assert_allclose(base_from_camera(joints, calibration), transform)

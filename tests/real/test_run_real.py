@@ -33,8 +33,8 @@ from uarm_rl.real.link import Link
 from uarm_rl.real.search import CameraSearch
 from uarm_rl.real.swift_arm import PumpState, SwiftArm
 from uarm_rl.real.trials import GivenTarget, ObjectNotFoundError, Task, run_trials
-from uarm_rl.real.vision.calibration import CalibrationError, nominal
 from uarm_rl.real.vision.camera import CameraError, OpenMVCamera
+from uarm_rl.real.vision.camera_model import CalibrationError, nominal
 from uarm_rl.real.vision.detection import MarkerDetector
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import ArmError

@@ -12,7 +12,7 @@ from pathlib import Path
 from uarm_rl import checks
 from uarm_rl.configuration import Settings, build
 from uarm_rl.real import collecting, session
-from uarm_rl.real.vision.calibration import Board
+from uarm_rl.real.vision.lens_fit import Board
 
 
 def run(settings: Settings) -> None:

@@ -13,7 +13,8 @@ from pathlib import Path
 from uarm_rl.commands.arm_settings import open_camera
 from uarm_rl.configuration import Settings, build
 from uarm_rl.real import collecting, session
-from uarm_rl.real.vision.calibration import Intrinsics, calibrate_hand_eye, nominal
+from uarm_rl.real.vision.camera_model import Intrinsics, nominal
+from uarm_rl.real.vision.hand_eye_fit import calibrate_hand_eye
 
 
 def run(settings: Settings) -> None:

@@ -22,7 +22,7 @@ from uarm_rl.emulator.optics import Optics, Picture, plain_texture, tag_texture
 from uarm_rl.emulator.physics import Place, World
 from uarm_rl.emulator.pty import MAX_SPEED, PtyServer
 from uarm_rl.emulator.realism import Realism, Settings
-from uarm_rl.real.vision.calibration import Calibration, nominal
+from uarm_rl.real.vision.camera_model import Calibration, nominal
 from uarm_rl.task import kinematics, positions
 
 _LOOKS: Final = ("box", "sticker", "tag")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from uarm_rl.emulator.physics import World
 from uarm_rl.emulator.realism import Realism
-from uarm_rl.real.vision.calibration import Calibration
+from uarm_rl.real.vision.camera_model import Calibration
 from uarm_rl.task.kinematics import Vector
 
 Picture = NDArray[np.uint8]
@@ -31,7 +31,7 @@ class Optics:
         self, calibration: Calibration, realism: Realism, generator: np.random.Generator, *, top: Picture | None = None
     ) -> None:
         self.cup_from_camera: Vector = calibration.cup_from_camera @ realism.draw_mount_error(generator)
-        self._size = calibration.image_size
+        self._size = calibration.lens.image_size
         self._realism = realism
         self._generator = generator
         self._top = top
@@ -47,10 +47,10 @@ class Optics:
         u, v = np.meshgrid(fine[: _FINE * width], fine[: _FINE * height])
         pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
-        matrix, distortion = calibration.camera_matrix, calibration.distortion
+        matrix, distortion = calibration.lens.camera_matrix, calibration.lens.distortion
         rays = cv2.undistortPointsIter(pixels, matrix, distortion, np.eye(3), np.eye(3), criteria)
         plane = rays.reshape(_FINE * height, _FINE * width, 2)
-        focal = _FINE * calibration.camera_matrix[[0, 1], [0, 1]]
+        focal = _FINE * calibration.lens.camera_matrix[[0, 1], [0, 1]]
         low, high = plane.min(axis=(0, 1)), plane.max(axis=(0, 1))
         middle = 1.0 - focal * low
         self._pinhole = np.array([[focal[0], 0.0, middle[0]], [0.0, focal[1], middle[1]], [0.0, 0.0, 1.0]])

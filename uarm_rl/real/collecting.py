@@ -6,9 +6,9 @@ What the commands call::
                                    calibrate_intrinsics_from_folder(folder, board, name) -> Intrinsics, report
     uarm-rl calibrate-hand-eye     collect_observations(arm, camera, detector, guess, csv_path, ask)     live
                                    read_observations(csv_path, intrinsics, detector) -> list of Observation
-                                   calibration.calibrate_hand_eye(observations, intrinsics) -> Calibration, report
+                                   hand_eye_fit.calibrate_hand_eye(observations, intrinsics) -> Calibration, report
 
-``guess`` is ``calibration.nominal(...)`` or an older calibration. ``ask`` shows a text to the user and returns the
+``guess`` is ``camera_model.nominal(...)`` or an older calibration. ``ask`` shows a text to the user and returns the
 answer: ``input``, say. What is collected is on the disk at once, so an interrupted session can be used or continued.
 
 **The session with the arm.** Each mark is something flat that the detector finds and the cup can touch: an AprilTag of
@@ -38,16 +38,10 @@ import numpy as np
 from uarm_rl import columns, csvfile, files
 from uarm_rl.real.audit import UnsafeCommandError
 from uarm_rl.real.vision import projection
-from uarm_rl.real.vision.calibration import (
-    Board,
-    Calibration,
-    CalibrationError,
-    Intrinsics,
-    Observation,
-    calibrate_intrinsics,
-)
 from uarm_rl.real.vision.camera import Camera, Picture, picture_files, read_picture
+from uarm_rl.real.vision.camera_model import Calibration, CalibrationError, Intrinsics, Observation
 from uarm_rl.real.vision.detection import Detector, TargetNotFoundError
+from uarm_rl.real.vision.lens_fit import Board, calibrate_intrinsics
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import JointPositions
 
@@ -88,7 +82,7 @@ def _next_number(stem: str, names: Iterable[str]) -> int:
 
 
 def calibrate_intrinsics_from_folder(folder: Path, board: Board, camera: str) -> tuple[Intrinsics, str]:
-    """The lens from all pictures of a folder, and a report; see ``calibration.calibrate_intrinsics``."""
+    """The lens from all pictures of a folder, and a report; see ``lens_fit.calibrate_intrinsics``."""
     paths = picture_files(folder)
     return calibrate_intrinsics([read_picture(path) for path in paths], board, camera, [path.name for path in paths])
 
@@ -272,14 +266,14 @@ def _look(
             arm.rest(_SETTLE_S)
             at = arm.read_joints()
             picture = camera.read()
-            guess.check_size(picture)
+            guess.lens.check_size(picture)
             _keep(csv_path, Observation(detector.detect(picture).centre_px, at, touch), picture)
             seen += 1
     return seen
 
 
-def _views(guess: Calibration, touch_m: Sequence[float], heights_m: Sequence[float]) -> Iterator[projection.Array]:
-    middle = (np.array(guess.image_size) - 1.0) / 2.0
+def _views(guess: Calibration, touch_m: Sequence[float], heights_m: Sequence[float]) -> Iterator[kinematics.Vector]:
+    middle = (np.array(guess.lens.image_size) - 1.0) / 2.0
     for height_m in heights_m:
         for offset in _LOOK_OFFSETS:
             try:

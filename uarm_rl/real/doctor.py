@@ -136,15 +136,17 @@ def camera(open_camera: Callable[[], Camera]) -> tuple[list[Finding], Picture | 
 
 def calibration(path: Path, picture: Picture | None) -> Finding:
     """The camera's calibration: whether it is whole, how old it is, and whether it fits the picture."""
-    from uarm_rl.real.vision.calibration import Calibration, CalibrationError
+    from uarm_rl.real.vision.camera_model import Calibration, CalibrationError
 
     try:
         loaded = Calibration.load(path)
         if picture is not None:
-            loaded.check_size(picture)
+            loaded.lens.check_size(picture)
     except CalibrationError as error:
         return Finding("problem", "calibration", str(error))
-    words = f"{path} is {loaded.age_days()} days old, for pictures of {loaded.image_size[0]} x {loaded.image_size[1]}, "
+    words = (
+        f"{path} is {loaded.age_days()} days old, for pictures of {loaded.lens.image_size[0]} x {loaded.lens.image_size[1]}, "
+    )
     words += f"off by {loaded.held_out_mm:.1f} mm where that was tested"
     if loaded.age_days() > _OLD_DAYS:
         return Finding("warning", "calibration", f"{words}; calibrate again if anything was moved or refocused since")

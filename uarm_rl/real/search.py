@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import ObjectNotFoundError, Sighting
-from uarm_rl.real.vision.calibration import Calibration
 from uarm_rl.real.vision.camera import Camera, CameraError
+from uarm_rl.real.vision.camera_model import Calibration
 from uarm_rl.real.vision.detection import Detector, TargetNotFoundError, annotate
 from uarm_rl.real.vision.projection import locate_box, look_at, pixel_to_base
 from uarm_rl.task import kinematics
@@ -110,7 +110,7 @@ class CameraSearch:
             raise CameraError(
                 f"{self._camera.name} sends the same picture again and again; unplug it, plug it in and start again"
             )
-        self._calibration.check_size(picture)
+        self._calibration.lens.check_size(picture)
         seen = self._detector.detect(picture)
         try:
             if not self._whole_object:

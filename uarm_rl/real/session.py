@@ -228,14 +228,14 @@ def camera_search(
     An emulated camera without a file is taken to be mounted as drawn.
     """
     from uarm_rl.real.search import CameraSearch
-    from uarm_rl.real.vision.calibration import Calibration, nominal
+    from uarm_rl.real.vision.camera_model import Calibration, nominal
 
     loaded = None if emulated and not calibration.exists() else Calibration.load(calibration)
     picture = camera.read()
     if loaded is None:
         log.warning("there is no %s; the emulated camera is taken to be mounted as drawn", calibration)
         loaded = nominal((picture.shape[1], picture.shape[0]))
-    loaded.check_size(picture)
+    loaded.lens.check_size(picture)
     return CameraSearch(camera, detector, loaded, object_size_m=object_size_m, whole_object=whole_object)
 
 

@@ -15,41 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from uarm_rl import checks
+from uarm_rl.real.vision.camera_model import Array, Calibration
 from uarm_rl.task import kinematics
-
-if TYPE_CHECKING:
-    from uarm_rl.real.vision.calibration import Calibration, Intrinsics
-
-Array = NDArray[np.float64]
-
-# Enough for 1e-9 px at the corner of a picture with the distortion of a wide lens; five, the default, leave 0.06 px.
-_UNDISTORT: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-_STRAIGHT: Final = np.zeros(3)
-
-
-def image_plane_from_pixel(pixels: ArrayLike, intrinsics: Intrinsics) -> Array:
-    """Pixels, shape (n, 2), in the image plane at distance 1 without distortion, shape (n, 2)."""
-    points = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    if not np.isfinite(points).all():
-        raise ValueError(f"pixels must be finite numbers, got {points.reshape(-1, 2).tolist()}")
-    undistorted = cv2.undistortPointsIter(points, intrinsics.camera_matrix, intrinsics.distortion, None, None, _UNDISTORT)  # type: ignore[call-overload]
-    return np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
-
-
-def pixel_from_camera(points_m: ArrayLike, intrinsics: Intrinsics) -> Array:
-    """Pixels, shape (n, 2), of points in the camera's frame, shape (n, 3); they must lie in front of the camera."""
-    points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
-    if not (points[:, 2] > 0.0).all():  # NaN fails
-        raise ValueError("a point that is not in front of the camera has no pixel")
-    pixels, _ = cv2.projectPoints(points, _STRAIGHT, _STRAIGHT, intrinsics.camera_matrix, intrinsics.distortion)
-    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
 
 def base_from_cup(joints_rad: Sequence[float] | Array) -> Array:
@@ -72,7 +46,7 @@ def pixel_to_base(pixel: ArrayLike, joints_rad: Sequence[float] | Array, calibra
 
     Raises :class:`ValueError` if the ray never meets it: the plane is not below the camera, or the ray does not go down.
     """
-    plane = image_plane_from_pixel(pixel, calibration)[0]
+    plane = calibration.lens.image_plane(pixel)[0]
     transform = base_from_camera(joints_rad, calibration)
     origin = transform[:3, 3]
     direction = transform[:3, :3] @ np.array([plane[0], plane[1], 1.0])
@@ -85,18 +59,6 @@ def pixel_to_base(pixel: ArrayLike, joints_rad: Sequence[float] | Array, calibra
         )
     point: Array = origin + distance * direction
     return point
-
-
-def base_to_pixel(points_m: ArrayLike, joints_rad: Sequence[float] | Array, calibration: Calibration) -> Array:
-    """Pixels, shape (n, 2), of points in the base frame, shape (n, 3); ValueError if one is not in front of the camera."""
-    return pixel_from_camera(_camera_from_base(points_m, joints_rad, calibration), calibration)
-
-
-def _camera_from_base(points_m: ArrayLike, joints_rad: Sequence[float] | Array, calibration: Calibration) -> Array:
-    transform = base_from_camera(joints_rad, calibration)
-    points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
-    camera: Array = (points - transform[:3, 3]) @ transform[:3, :3]  # the inverse of a rotation is its transpose
-    return camera
 
 
 # A box, seen from above at an angle, shows side faces too, and they pull the centre of its outline 1 to 5 mm away from
@@ -137,8 +99,8 @@ def locate_box(
     around, as thresholds make it. Raises :class:`ValueError` if no such box can be in view.
     """
     length, width, height = (checks.number("size_m", float(side), low=0.0, open_low=True) for side in size_m)
-    focal_px = float(calibration.camera_matrix[0, 0])
-    seen = focal_px * image_plane_from_pixel(outline_px, calibration)
+    focal_px = float(calibration.lens.camera_matrix[0, 0])
+    seen = focal_px * calibration.lens.image_plane(outline_px)
     if len(seen) < 3:
         raise ValueError(f"an outline needs at least 3 points, got {len(seen)}")
     seen_reach = (seen @ _DIRECTIONS.T).max(axis=0)
@@ -217,8 +179,8 @@ def look_at(
     """
     x, y, z = (float(value) for value in point_m)
     to_cup = calibration.cup_from_camera
-    aim = (np.array(calibration.image_size) - 1.0) / 2.0 if pixel is None else pixel
-    direction = to_cup[:3, :3] @ [*image_plane_from_pixel(aim, calibration)[0], 1.0]
+    aim = (np.array(calibration.lens.image_size) - 1.0) / 2.0 if pixel is None else pixel
+    direction = to_cup[:3, :3] @ [*calibration.lens.image_plane(aim)[0], 1.0]
     drop = (z - cup_height_m - to_cup[2, 3]) / direction[2]
     if not 0.0 < drop < math.inf:
         raise ValueError(
