@@ -27,13 +27,13 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from uarm_rl import configuration, files
+from uarm_rl.commands import arm_settings
 from uarm_rl.emulator.emulate import Workplace
 from uarm_rl.emulator.memory_port import MemoryPort
-from uarm_rl.real import session as lab
 from uarm_rl.real.link import Link
 from uarm_rl.real.search import CameraSearch
 from uarm_rl.real.swift_arm import SwiftArm
-from uarm_rl.real.trials import Task, run_trials
+from uarm_rl.real.trials import Task, run_trials, scattered
 from uarm_rl.real.vision.camera import OpenMVCamera
 from uarm_rl.real.vision.camera_model import nominal
 from uarm_rl.report import figures, statistics, tables
@@ -65,11 +65,11 @@ def trials_of(path: Path, count: int, point: tuple[str, float, int]) -> list[dic
     settings = configuration.compose("emulate", (f"seed={seed}",))
     realism = settings["realism"] | SWEEPS[sweep][2](value)
     kept = {key: setting for key, setting in settings.items() if key not in ("results_dir", "speed")}
-    policy = lab.load_policy(path)
+    policy = arm_settings.load_policy(path)
     rows: list[dict[str, object]] = []
     with Workplace(**kept | {"realism": realism}) as place:
         try:
-            for trial in run_trials(*workers(place, policy), lab.scattered(np.random.default_rng(seed)), trials=count):
+            for trial in run_trials(*workers(place, policy), scattered(np.random.default_rng(seed)), trials=count):
                 rows.append({"success": trial.row["success"], "reason": trial.row["reason"]})
         except ArmError as error:
             rows += [{"success": False, "reason": str(error)}] * (count - len(rows))
@@ -79,22 +79,17 @@ def trials_of(path: Path, count: int, point: tuple[str, float, int]) -> list[dic
 def workers(place: Workplace, policy: ActorPolicy) -> tuple[SwiftArm, ActorPolicy, CameraSearch, Task]:
     """The arm, policy, search and task of ``run-real``, as configured by default, on ports in memory."""
     settings, card = configuration.compose("run-real", ()), policy.card
-    task = Task(
-        hold=configuration.build("hold", card.hold),
-        **{key: getattr(card, key) for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
-        **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
-    )
     eye, hand = MemoryPort(place.camera), MemoryPort(place.firmware)
     search = CameraSearch(
         OpenMVCamera(eye, clock=eye.clock),
         configuration.build("detector", settings["detector"]),
         nominal(),
-        object_size_m=lab.object_size(settings["object_size_m"]),
+        object_size_m=arm_settings.object_size(settings["object_size_m"]),
         whole_object=True,
     )
-    link = Link(hand, "the emulator", clock=hand.clock)
-    arm = SwiftArm(link, limits=lab.limits(settings["limits"]), feed=lab.feed(card, None), control_hz=card.control_hz)
-    return arm, policy, search, task
+    link, limits = Link(hand, "the emulator", clock=hand.clock), arm_settings.limits(settings["limits"])
+    arm = SwiftArm(link, limits=limits, feed=arm_settings.feed(card, None), control_hz=card.control_hz)
+    return arm, policy, search, arm_settings.task_of(card, settings)
 
 
 def draw(figure: Figure, points: pd.DataFrame, label: str) -> None:

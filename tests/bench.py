@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 import re
+import time
+
+import numpy as np
 
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
 from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.motion import KinematicJoints
 from uarm_rl.real.link import Link
 from uarm_rl.real.swift_arm import SwiftArm
+from uarm_rl.real.trials import Task
 from uarm_rl.task import kinematics
+from uarm_rl.task.hold import UntilSteady
 
 HOME = tuple(kinematics.HOME_JOINTS_RAD.tolist())
 PARKING = "G2206 B90.000 L118.000 R50.000 F20.0"
@@ -75,3 +80,56 @@ def judge(line, last_deg=None):
         assert abs(left - last_deg[1]) <= allowed
         assert abs(left + right - last_deg[1] - last_deg[2]) <= allowed  # joint3
     return b, left, right
+
+
+PLACE = np.array([0.2, 0.05, 0.03])
+TASK = Task(
+    hold=UntilSteady(0.001, 2, 40),
+    control_hz=20,
+    max_delta_rad=0.15,
+    tolerance_m=0.005,
+    dwell_s=0.5,
+    time_limit_s=10.0,
+    press_m=0.002,
+    max_press_m=0.005,
+)
+
+
+class Workbench(KinematicJoints):
+    """Joints with an object: it hangs from the cup once the cup was near its top with the pump on."""
+
+    def __init__(self, top=PLACE, *, seals_below_m=0.003, slips_at_m=math.inf):
+        super().__init__(PARKED_DEG)
+        self.top = np.array(top, float)
+        self.seals_below_m, self.slips_at_m = seals_below_m, slips_at_m
+
+    def drive(self, motor_deg, dt_s):
+        super().drive(motor_deg, dt_s)
+        cup = kinematics.cup_position(kinematics.from_motor_deg(*self.angles))
+        aside, above = math.dist(cup[:2], self.top[:2]), cup[2] - self.top[2]
+        if not self.sealed:
+            self.sealed = self.sucking and aside < 0.0055 and above < self.seals_below_m
+        if not self.sucking or (self.sealed and cup[2] > self.slips_at_m):
+            self.sealed = False
+            self.top[2] = 0.03
+        if self.sealed:
+            self.top = cup
+
+
+class Tap(Firmware):
+    """Keeps what it hears."""
+
+    heard = b""
+
+    def advance(self, to_s, received=b""):
+        self.heard += received
+        return super().advance(to_s, received)
+
+    def moves(self):
+        return re.findall(rb"G\d+[^\n]*", self.heard)
+
+    def wait_until_parked(self):
+        """The driver does not wait for its last move, so the emulator may hear of it later."""
+        end_s = time.monotonic() + 20.0
+        while not self.heard.endswith(b"G2206 B90.000 L118.000 R50.000 F20.0\n") and time.monotonic() < end_s:
+            time.sleep(0.005)

@@ -3,7 +3,7 @@
     python -c "from tests import hostile_arm; print(hostile_arm.references(1_000_000), hostile_arm.streams(10_000))"
 
 Both return (trials, failures). ``references`` puts joint commands of every kind, and most of all those near a limit, to
-the driver in front of an arm that follows at once; each line that reaches the wire is judged by ``bench.judge``, which
+the driver in front of an emulated arm; each line that reaches the wire is judged by ``bench.judge``, which
 has limits and geometry of its own. ``streams`` lets the arm answer with random bytes, replies and reports.
 """
 
@@ -20,10 +20,14 @@ from unittest import mock
 import numpy as np
 
 from tests.bench import judge
+from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
+from uarm_rl.emulator.memory_port import MemoryPort
+from uarm_rl.emulator.motion import KinematicJoints
+from uarm_rl.emulator.realism import Settings
 from uarm_rl.real import audit
 from uarm_rl.real.audit import UnsafeCommandError
-from uarm_rl.real.dryrun import DryPort
 from uarm_rl.real.link import Link
+from uarm_rl.real.ports import READ_S
 from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError
@@ -32,16 +36,13 @@ NO_NUMBERS = (math.nan, math.inf, -math.inf, 1e308, 10**400, "1", None, 1j, b"0"
 NO_REFERENCES = (None, 0.0, "abc", {}, (), np.zeros((3, 3)), np.array([None, 0, 0]), np.zeros(3, np.complex64), object())
 
 
-class Tap(DryPort):
-    """Follows at once, and keeps what was written."""
+def quick_port() -> MemoryPort:
+    """An emulated arm at coarse time: nothing is measured here but what is written to it."""
+    return MemoryPort(emulated(), quantum_s=READ_S)
 
-    def __init__(self) -> None:
-        super().__init__(lambda line: None)
-        self.written = b""
 
-    def write(self, data: bytes) -> int:
-        self.written += data
-        return super().write(data)
+def emulated() -> Firmware:
+    return Firmware(Settings(tick_s=1.0), KinematicJoints(PARKED_DEG))
 
 
 def wishes(generator: random.Random, joints: tuple[float, ...]) -> object:
@@ -95,16 +96,16 @@ def references(count: int, seed: int = 0) -> tuple[int, int]:
     failures = 0
     with silence():
         for first in range(0, count, _WALK):
-            port = Tap()
+            port = quick_port()
             with SwiftArm(Link(port, "hostile", clock=port.clock)) as arm:
                 arm.home()
                 for _ in range(first, min(first + _WALK, count)):
                     joints = arm.read_joints()
-                    port.written = b""
+                    port.written.clear()
                     with suppress(UnsafeCommandError):
                         arm.command_joints(wishes(generator, joints))  # type: ignore[arg-type]
                         arm.advance()
-                    failures += not harmless(port.written, kinematics.to_motor_deg(joints))
+                    failures += not harmless(bytes(port.written), kinematics.to_motor_deg(joints))
     return count, failures
 
 
@@ -122,11 +123,11 @@ def blind() -> mock._patch:
     return mock.patch.object(audit, "_check_path", return_value=None)
 
 
-class Liar(DryPort):
-    """An arm that follows at once but does not always say so: now and then, or always, it answers something else."""
+class Liar(MemoryPort):
+    """An arm that does as it is told but does not always say so: now and then, or always, it answers something else."""
 
     def __init__(self, seed: int) -> None:
-        super().__init__(lambda line: None)
+        super().__init__(emulated(), quantum_s=READ_S)
         self._random = random.Random(seed)
         self._honesty = self._random.choice((0.0, 0.5, 0.9, 0.97, 0.99))
         self._asked = b"1"

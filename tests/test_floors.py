@@ -23,7 +23,7 @@ PACKAGE = ROOT / "uarm_rl"
 WINGS = {
     "task": set(),
     "sim": {"task"},
-    "real": {"task", "report"},
+    "real": {"task"},
     "learn": {"task"},
     "evaluation": {"task"},
     "report": {"task"},
@@ -34,7 +34,7 @@ WINGS = {
     "uarm_rl": {"configuration", "task"},
     "__main__": {"cli"},
 }
-ROOT_FILES = {"checks", "columns", "files", "csvfile", "workers"}
+ROOT_FILES = {"checks", "columns", "files", "csvfile", "signals", "workers"}
 
 #: Third-party packages, and the parts of the package that may use them.
 OWNERS = {
@@ -42,8 +42,8 @@ OWNERS = {
     "omegaconf": ("cli", "configuration"),
     "pybullet": ("sim", "emulator.physics"),
     "mujoco": ("sim",),
-    "serial": ("real", "emulator"),
-    "cv2": ("real", "emulator"),
+    "serial": ("real.ports", "real.doctor"),
+    "cv2": ("real.vision", "emulator.camera", "emulator.optics"),
     "torch": ("learn", "commands.train"),
     "gymnasium": ("task.env",),
     "matplotlib": ("report",),

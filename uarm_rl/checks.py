@@ -118,3 +118,15 @@ def _bound(value: float) -> str:
     if isinstance(value, int):
         return _shown(value)
     return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:g}"
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Each setting in which two configurations differ, in words, as in ``agent.gamma=0.9, not 0.99``."""
+    found = []
+    for key in [*before, *(key for key in now if key not in before)]:
+        then, wanted = before.get(key), now.get(key)
+        if isinstance(then, Mapping) and isinstance(wanted, Mapping):
+            found += [f"{key}.{inner}" for inner in differences(then, wanted)]
+        elif then != wanted:
+            found.append(f"{key}={then}, not {wanted}")
+    return found

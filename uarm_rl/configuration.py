@@ -332,7 +332,7 @@ def read_run(run_dir: Path) -> Settings:
 
     Raises :class:`UsageError` if the folder holds no run.
     """
-    settings = _read_yaml(run_dir / CONFIG)
+    settings = read_yaml(run_dir / CONFIG)
     needed = ("sim", "servo", "reward", "buffer", "control_hz", "max_delta_rad", "tolerance_m", "dwell_s", "time_limit_s")
     if missing := [key for key in needed if key not in settings]:
         raise UsageError(f"{run_dir / CONFIG} lacks {missing[0]}; it was not written by uarm-rl train")
@@ -347,7 +347,7 @@ def read_run(run_dir: Path) -> Settings:
     return _merged(_defaults(chosen), settings)
 
 
-def _read_yaml(path: Path) -> Settings:
+def read_yaml(path: Path) -> Settings:
     """A mapping from a YAML file that may come from anywhere: no tags, no aliases, no depths."""
     import yaml
 

@@ -25,6 +25,7 @@ from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
 from uarm_rl.emulator.physics import CUP_RADIUS_M, World
 from uarm_rl.emulator.realism import Settings
+from uarm_rl.real.ports import camera_beside, is_emulated
 from uarm_rl.task import kinematics, positions
 
 SIM = {key: value for key, value in configuration.compose("emulate")["sim"].items() if key != "name"}
@@ -341,10 +342,12 @@ def start(*overrides):
         f"values = configuration.compose('emulate', {overrides!r}); values.pop('results_dir'); emulate(**values)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    arm, camera = (process.stdout.readline() for _ in range(2))
-    assert arm.startswith("arm: /dev/"), (arm, process.stderr.read())
-    assert camera.startswith("camera: /dev/")
-    return process, arm.split()[1], camera.split()[1]
+    lines = [process.stdout.readline().split() for _ in range(2)]
+    assert [name for name, _ in lines] == ["arm:", "camera:"]
+    (_, arm), (_, camera) = lines
+    assert is_emulated(arm)
+    assert camera_beside(arm) == camera
+    return process, arm, camera
 
 
 class Client:
@@ -414,6 +417,7 @@ def test_the_command_ends_on_control_c_and_says_what_was_unplugged():
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=20) == ("", "")
     assert process.returncode == 0
+    assert not os.path.lexists(path)
 
 
 @pytest.mark.parametrize(

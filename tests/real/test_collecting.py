@@ -83,6 +83,16 @@ def test_board_pictures_are_collected_live(boards, tmp_path):
     assert len(list((tmp_path / "new").glob("*.png"))) == 10
 
 
+def test_a_board_picture_that_was_deleted_leaves_a_gap(boards, tmp_path):
+    with StillImages(boards) as camera:
+        collect_board_pictures(camera, BOARD, tmp_path, lambda text: "", count=5)
+        kept = {path.name: path.read_bytes() for path in tmp_path.glob("*.png") if path.name != "board02.png"}
+        (tmp_path / "board02.png").unlink()
+        collect_board_pictures(camera, BOARD, tmp_path, lambda text: "", count=5)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [*sorted(kept), "board06.png"]
+    assert all((tmp_path / name).read_bytes() == data for name, data in kept.items())
+
+
 # Tables
 
 
@@ -297,3 +307,17 @@ def test_an_arm_that_vanishes_ends_the_session_with_everything_kept(desk, tmp_pa
     with pytest.raises(LinkLostError):
         collect_observations(arm, desk, RED, nominal(), path, ask)
     assert len(read_observations(path, LENS)) == len(re.findall("touches-", path.read_text())) > 4
+
+
+def test_a_touch_picture_that_was_deleted_leaves_a_gap(desk, tmp_path):
+    """The last one too: its row still names it."""
+    path = tmp_path / "touches.csv"
+    with desk.bench.connect() as arm:
+        arm.home()
+        first = collect_observations(arm, desk, RED, nominal(), path, desk.ask, marks=1)
+        (tmp_path / f"touches-{first:03d}.png").unlink()
+        (tmp_path / "touches-001.png").unlink()
+        second = collect_observations(arm, desk, RED, nominal(), path, desk.ask, marks=1)
+    names = [row.split(",")[0] for row in path.read_text().splitlines()[1:]]
+    assert len(set(names)) == len(names) == first + second
+    assert f"touches-{first + 1:03d}.png" in names

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.real.test_run_real import Tap, policy_file, run  # noqa: F401 (a fixture)
+from tests.bench import Tap
+from tests.real.test_run_real import policy_file, run  # noqa: F401 (a fixture)
 from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.firmware import PARKED_DEG
 from uarm_rl.emulator.firmware_3_2 import MarlinFirmware
@@ -75,8 +76,13 @@ def test_a_healthy_arm_is_not_moved():
     ("emulated", "state", "what", "words"),
     [
         (firmware(Settings(power_12v=False)), "problem", "12 V", "plug in the power supply"),
-        (firmware(Settings(firmware="V4.4.0")), "problem", "firmware", "V4.4.0; V4.5.0 or later is needed"),
-        (firmware(Settings(firmware="V3.2.0"), MarlinFirmware), "problem", "firmware", "V3.2.0; V4.5.0 or later is needed"),
+        (firmware(Settings(firmware="V4.4.0")), "problem", "firmware", "V4.4.0; this driver needs V4.5.0"),
+        (
+            firmware(Settings(firmware="V3.2.0"), MarlinFirmware),
+            "problem",
+            "firmware",
+            "V3.2.0; this driver needs V4.5.0",
+        ),
         (firmware(Settings(firmware="V4.11.0")), "warning", "firmware", "newer than"),
         (firmware(Settings(tool_mode=3)), "warning", "tool mode", "3; run-real sets it to 0"),
         (firmware(Settings(encoder_offset_deg=(0.0, 40.0, 0.0))), "warning", "encoders", "outside the joint limits"),

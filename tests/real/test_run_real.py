@@ -1,9 +1,8 @@
-"""Trials on the arm: the loop in virtual time, and ``run-real`` and ``jog`` on real terminals as a user meets them."""
+"""``run-real`` and ``jog`` on real terminals, as a user meets them."""
 
 from __future__ import annotations
 
 import csv
-import math
 import os
 import re
 import signal
@@ -15,324 +14,17 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from tests import hostile_arm
-from tests.bench import HOME, Bench, judge
+from tests.bench import Tap, Workbench, judge
 from tests.conftest import CARD, uarm_rl
 from uarm_rl import cli, configuration
 from uarm_rl.columns import TRIALS
 from uarm_rl.commands.words import as_overrides
-from uarm_rl.emulator.emulate import Workplace
 from uarm_rl.emulator.faults import Fault
-from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
-from uarm_rl.emulator.memory_port import MemoryPort
-from uarm_rl.emulator.motion import KinematicJoints
 from uarm_rl.emulator.pty import PtyServer
 from uarm_rl.emulator.realism import Settings
-from uarm_rl.real import session as lab
-from uarm_rl.real.link import Link
-from uarm_rl.real.search import CameraSearch
-from uarm_rl.real.swift_arm import PumpState, SwiftArm
-from uarm_rl.real.trials import GivenTarget, ObjectNotFoundError, Task, run_trials
-from uarm_rl.real.vision.camera import CameraError, OpenMVCamera
-from uarm_rl.real.vision.camera_model import CalibrationError, nominal
-from uarm_rl.real.vision.detection import MarkerDetector
-from uarm_rl.task import kinematics, positions
-from uarm_rl.task.arm import ArmError
-from uarm_rl.task.hold import UntilSteady
-from uarm_rl.task.policy import InverseKinematicsPolicy, encode
-
-PLACE = np.array([0.2, 0.05, 0.03])
-TASK = Task(
-    hold=UntilSteady(0.001, 2, 40),
-    control_hz=20,
-    max_delta_rad=0.15,
-    tolerance_m=0.005,
-    dwell_s=0.5,
-    time_limit_s=10.0,
-    press_m=0.002,
-    max_press_m=0.005,
-)
-
-
-class Workbench(KinematicJoints):
-    """Joints with an object: it hangs from the cup once the cup was near its top with the pump on."""
-
-    def __init__(self, top=PLACE, *, seals_below_m=0.003, slips_at_m=math.inf):
-        super().__init__(PARKED_DEG)
-        self.top = np.array(top, float)
-        self.seals_below_m, self.slips_at_m = seals_below_m, slips_at_m
-
-    def drive(self, motor_deg, dt_s):
-        super().drive(motor_deg, dt_s)
-        cup = kinematics.cup_position(kinematics.from_motor_deg(*self.angles))
-        aside, above = math.dist(cup[:2], self.top[:2]), cup[2] - self.top[2]
-        if not self.sealed:
-            self.sealed = self.sucking and aside < 0.0055 and above < self.seals_below_m
-        if not self.sucking or (self.sealed and cup[2] > self.slips_at_m):
-            self.sealed = False
-            self.top[2] = 0.03
-        if self.sealed:
-            self.top = cup
-
-
-class Tap(Firmware):
-    """Keeps what it hears."""
-
-    heard = b""
-
-    def advance(self, to_s, received=b""):
-        self.heard += received
-        return super().advance(to_s, received)
-
-    def moves(self):
-        return re.findall(rb"G\d+[^\n]*", self.heard)
-
-    def wait_until_parked(self):
-        """The driver does not wait for its last move, so the emulator may hear of it later."""
-        end_s = time.monotonic() + 20.0
-        while not self.heard.endswith(b"G2206 B90.000 L118.000 R50.000 F20.0\n") and time.monotonic() < end_s:
-            time.sleep(0.005)
-
-
-def bench(joints=None, policy=None, **keywords):
-    """An arm in virtual time in front of ``joints``."""
-    here = Bench(Settings(tick_s=0.01), **keywords)
-    here.port.firmware.machine.joints = here.joints = joints or Workbench()
-    return here
-
-
-def trials(here, arm, count=1, search=None, policy=None, put_down=None, task=TASK):
-    results = run_trials(
-        arm, policy or InverseKinematicsPolicy(0.15), search or GivenTarget(PLACE), task, put_down, trials=count
-    )
-    return [trial.row for trial in results]
-
-
-# The loop, in virtual time
-
-
-def test_picks_carries_and_puts_down():
-    here = bench()
-    other = np.array([0.18, -0.12, 0.03])
-    with here.connect() as arm:
-        rows = trials(here, arm, put_down=lambda place: other)
-        assert arm.pump_state() is PumpState.STOPPED
-    (row,) = rows
-    assert set(row) <= set(TRIALS)
-    assert (row["success"], row["reached"], row["reason"], row["firmware"]) == (True, True, "", "V4.10.0")
-    assert 2.0 < row["time_s"] < 10.0
-    assert row["final_distance_m"] <= 0.005
-    assert row["decisions"] >= 4
-    assert here.joints.top == pytest.approx(other, abs=0.004)
-    here.judge()
-    lines = here.lines()
-    on, off = lines.index("M2231 V1"), len(lines) - lines[::-1].index("M2231 V0")
-    assert sum(line.startswith("G2206") for line in lines[on:off]) >= 8  # lifted, carried, lowered with the pump on
-
-
-def test_the_dwell_counts_the_arms_time():
-    """Arriving counts once, standing there for 0.5 s the rest: the flag comes 0.5 s after the arrival and not at it."""
-    here = bench()
-    with here.connect() as arm:
-        env = TASK.env(arm)
-        arm.home()
-        env.reset(options={"object_position": kinematics.HOME_CUP_M, "home": False})
-        begun_s = arm.time_s()
-        flag = False
-        while not flag:
-            _, _, flag, truncated, _ = env.step(np.zeros(3, np.float32))
-            assert not truncated
-        assert 0.45 <= arm.time_s() - begun_s < 1.5
-
-
-class Still:
-    def act(self, observation):
-        return np.zeros(3, np.float32)
-
-
-class Diver:
-    """Goes down, whatever is there."""
-
-    def act(self, observation):
-        return np.array([0.0, 1.0, 0.0], np.float32)
-
-
-class Nowhere:
-    def find(self, arm, guess_m):
-        raise ObjectNotFoundError("the object is not in view")
-
-
-@pytest.mark.parametrize(
-    ("keywords", "joints", "words"),
-    [
-        ({"policy": Still()}, {}, r"did not stay within reach of the target; it ended \d+\.\d mm away"),
-        ({"policy": Diver()}, {}, "asked for something unsafe: the cup would .* closer to the table"),
-        ({"search": Nowhere()}, {}, "the object is not in view"),
-        ({"search": GivenTarget(np.array([0.05, 0.0, 0.03]))}, {}, r"cannot come down onto \(50, 0, 30\) mm"),
-        ({}, {"top": (0.2, 0.07, 0.03)}, "did not seal on the object, pressed 5 mm"),
-        ({}, {"slips_at_m": 0.05}, "fell off while it was lifted"),
-    ],
-)
-def test_failures_count_and_the_trials_go_on(keywords, joints, words):
-    here = bench(Workbench(**joints))
-    with here.connect() as arm:
-        rows = trials(here, arm, count=2, **keywords)
-        assert arm.pump_state() is PumpState.STOPPED
-        assert kinematics.cup_position(arm.read_joints())[2] > 0.03 or "search" in keywords
-    assert [row["trial"] for row in rows] == [1, 2]
-    for row in rows:
-        assert not row["success"]
-        assert re.search(words, row["reason"]), row["reason"]
-    here.judge()
-
-
-def test_what_the_policy_does_not_get_is_fetched_for_the_next_trial():
-    here = bench()
-    places = [np.array([0.18, -0.12, 0.03]), np.array([0.22, 0.1, 0.03])]
-    with here.connect() as arm:
-        rows = trials(here, arm, policy=Still(), put_down=lambda place: places[0])
-        assert here.joints.top == pytest.approx(places[0], abs=0.004)
-        rows += trials(here, arm, search=GivenTarget(places[0]), put_down=lambda place: places[1])
-    assert [row["success"] for row in rows] == [False, True]
-    assert "did not stay within reach" in rows[0]["reason"]
-    assert here.joints.top == pytest.approx(places[1], abs=0.004)
-
-
-def test_the_cup_is_pressed_deeper_until_it_seals():
-    here = bench(Workbench(seals_below_m=-0.0035))
-    with here.connect() as arm:
-        assert trials(here, arm)[0]["success"]
-    tops = [line for line in here.lines() if line.startswith("G2206")]
-    heights = [
-        1000 * kinematics.cup_position(kinematics.from_motor_deg(*map(float, re.findall(r"[BLR](\S+)", line))))[2]
-        for line in tops
-    ]
-    assert min(heights) == pytest.approx(26.0, abs=0.3)
-
-
-def test_an_object_lost_on_the_way_was_held_all_the_same():
-    here = bench(Workbench(slips_at_m=0.089))
-    with here.connect() as arm:
-        here.joints.slips_at_m = math.inf
-        rows = trials(here, arm, put_down=lambda place: setattr(here.joints, "slips_at_m", 0.05) or place)
-    assert rows[0]["success"]
-    assert "fell off on the way" in rows[0]["reason"]
-
-
-@pytest.mark.parametrize("effect", ["unplug", "power", "reset"])
-def test_what_breaks_the_arm_ends_the_trials(effect):
-    here = bench(faults=(Fault(effect, "G2206", nth=9, delay_s=0.1),))
-    rows = []
-    with pytest.raises(ArmError, match=r"check|restarted"), here.connect() as arm:
-        for trial in run_trials(arm, Still(), GivenTarget(PLACE), TASK, None, trials=99):
-            rows.append(trial.row)
-    assert len(rows) < 9
-    here.judge()
-
-
-def test_every_place_can_be_reached_lifted_and_left():
-    """From anywhere in the operating range, and back from wherever a policy may have stopped."""
-    generator = np.random.default_rng(0)
-    with lab.rehearse(lambda line: None) as arm:
-        for _ in range(40):
-            place = positions.draw(generator, 0.03)
-            rows = trials(None, arm, search=GivenTarget(place), put_down=lab.scattered(generator), task=TASK)
-            assert rows[0]["success"], rows[0]["reason"]
-
-
-# With a camera, over PyBullet, in virtual time
-
-
-def workplace(*overrides):
-    settings = configuration.compose("emulate", overrides)
-    return Workplace(**{key: value for key, value in settings.items() if key not in ("results_dir", "speed")})
-
-
-def look_for_it(place, detector=None, whole_object=True):
-    """The search with the workplace's camera, and an arm; both on ports in memory."""
-    port = MemoryPort(place.camera)
-    camera = OpenMVCamera(port, clock=port.clock)
-    colour = configuration.compose("run-real", ())["detector"]
-    search = CameraSearch(
-        camera,
-        detector or configuration.build("detector", colour),
-        nominal(),
-        object_size_m=(0.03, 0.03, 0.03),
-        whole_object=whole_object,
-    )
-    place.arm_port = port = MemoryPort(place.firmware)
-    return SwiftArm(Link(port, "workplace", clock=port.clock)), search
-
-
-def test_an_object_is_found_picked_and_put_down_by_camera():
-    with workplace("replace_object=false", "seed=5") as place:
-        arm, search = look_for_it(place)
-        with arm:
-            truth = place.world.object_position()
-            results = run_trials(
-                arm, InverseKinematicsPolicy(0.15), search, TASK, lab.scattered(np.random.default_rng(1)), trials=2
-            )
-            first, second = (trial for trial in results)
-        for trial in (first, second):
-            assert trial.row["success"], trial.row["reason"]
-            assert trial.row["camera_misfit_px"] < 2.0
-            assert trial.row["camera_disagreement_m"] < 0.01
-            assert trial.picture.shape == (240, 320, 3)
-        assert [first.row[f"target_{axis}_m"] for axis in "xyz"] == pytest.approx(truth, abs=0.004)
-        assert second.row["looks"] == 2  # it looks first where it has put it
-
-
-@pytest.mark.parametrize("look", ["tag", "sticker"])
-def test_a_marker_is_the_middle_of_the_top(look):
-    with workplace(f"look={look}", "realism=none", "object_position=[0.24,0.06,0.03]") as place:
-        detector = MarkerDetector() if look == "tag" else None
-        arm, search = look_for_it(place, detector, whole_object=False)
-        with arm:
-            sighting = search.find(arm, None)
-        assert sighting.target_m == pytest.approx((0.24, 0.06, 0.03), abs=0.001)
-
-
-def test_something_of_another_shape_is_not_taken_for_the_object():
-    with workplace("realism=none", "object_position=[0.24,0.06,0.03]") as place:
-        arm, search = look_for_it(place)
-        search._size_m = (0.12, 0.02, 0.03)
-        with arm, pytest.raises(ObjectNotFoundError, match=r"has not the shape of the object|cannot be in view"):
-            search.find(arm, None)
-
-
-@pytest.mark.parametrize(
-    ("fault", "error", "words"),
-    [
-        ("camera_frozen", CameraError, "picture again and again"),
-        ("camera_silence", CameraError, "gave no picture within 15 s: it sent nothing"),
-        ("camera_size", CalibrationError, "is for 320 x 240"),
-        ("power", ArmError, "lost its 12 V power"),
-        ("silence", ArmError, "did not answer within"),
-    ],
-)
-def test_a_fault_in_a_trial_ends_it_in_a_sentence_with_the_pump_off(fault, error, words):
-    with workplace("replace_object=false", f"faults={fault}") as place:
-        arm, search = look_for_it(place)
-        with pytest.raises(error, match=words), arm:
-            next(run_trials(arm, InverseKinematicsPolicy(0.15), search, TASK, None, trials=1))
-        written = bytes(place.arm_port.written).decode()
-        assert "M2231 V0" in written[-130:]
-        for line in filter(None, re.sub("[!\x18]", "", written).splitlines()):
-            judge(line)
-
-
-# Hostile wishes and answers; the lead number of each is larger in tests/torture.py
-
-
-def test_hostile_wishes_put_nothing_unsafe_on_the_wire():
-    assert hostile_arm.references(5000) == (5000, 0)
-    with hostile_arm.blind():
-        assert hostile_arm.references(1000)[1] > 10  # the control is caught
-
-
-def test_arms_that_answer_nonsense_never_hang_the_driver():
-    assert hostile_arm.streams(500) == (500, 0)
-
+from uarm_rl.real import session
+from uarm_rl.real.vision.camera_model import nominal
+from uarm_rl.task.policy import encode
 
 # The command line
 
@@ -421,6 +113,30 @@ def test_trials_on_a_terminal(run, served, tmp_path):
     assert ((folder / "trials.csv").read_bytes(), len(firmware.heard)) == (before, heard)
 
 
+def test_a_series_that_was_interrupted_goes_on(run, tmp_path):
+    firmware = Tap(Settings(), Workbench(), faults=(Fault("unplug", "G2206", nth=40, delay_s=0.1),))
+    series = ("run-real", *TARGET, "--trials", 5, "--out", "series", *FAST)
+    with PtyServer(firmware, speed=50.0) as server:
+        assert run(*series, "--port", server.path)[0] == 1
+    path = tmp_path / "series" / "trials.csv"
+    before = path.read_bytes()
+    assert 1 <= len(read(path)) < 5
+    with PtyServer(Tap(Settings(), Workbench()), speed=50.0) as server:
+        code, _, error = run(*series, "--port", server.path)
+        assert (code, "resume=true goes on with them" in error, path.read_bytes()) == (2, True, before)
+        code, _, error = run(*series, "--port", server.path, "resume=true", "press_m=0.001")
+        assert (code, "press_m=0.002, not 0.001" in error, path.read_bytes()) == (2, True, before)
+        code, _, error = run(*series, "--port", server.path, "resume=true", "overwrite=true")
+        assert (code, "give one of them" in error, path.read_bytes()) == (2, True, before)
+        code, output, error = run(*series, "--port", server.path, "resume=true")
+    assert (code, error) == (0, "")
+    assert path.read_bytes().startswith(before)
+    assert [row["trial"] for row in read(path)] == ["1", "2", "3", "4", "5"]
+    assert "of 5 held after the lift" in output
+    code, output, _ = run(*series, "resume=true")  # needs no arm any more
+    assert (code, "of 5 held after the lift" in output) == (0, True)
+
+
 def test_a_joint_is_jogged_and_nothing_else_moves(run, served):
     server, firmware = served
     code, output, _ = run("jog", "--port", server.path, "--joint", 2, "--degrees", -5, "--speed", 50)
@@ -461,6 +177,7 @@ TARGET = ("--target", 0.2, 0.05, 0.03)
     ("words", "code", "parts"),
     [
         (["port=/dev/nowhere", *TARGET, *FAST[2:]], 1, ["there is no port /dev/nowhere"]),
+        (["port=/dev/nowhere", *FAST[2:4]], 1, ["there is no port /dev/nowhere; plug in the USB cable and the power"]),
         ([*TARGET, *FAST[2:]], 1, ["no serial port has the USB id of the uArm", "--port"]),
         (["port=PORT", *TARGET], 2, ["there is no policy results/real_arm/seed0", "--policy", "experiment=real_arm"]),
         (["port=PORT", *TARGET, "policy=wide"], 1, ["action scale", "max_delta_rad", "0.25, got 0.3"]),
@@ -512,17 +229,17 @@ def test_bad_input_is_one_sentence_and_nothing_moves(run, served, tmp_path, word
 
 
 def test_a_real_arm_needs_a_calibration(run, tmp_path):
-    """A port that does not exist is no emulated arm; the calibration is read before it is opened."""
+    """A port that is no pseudo-terminal is no emulated arm's; the calibration is read before it is opened."""
     import cv2
 
     cv2.imwrite(str(tmp_path / "picture.png"), np.zeros((240, 320, 3), np.uint8))
-    code, _, error = run("run-real", "port=/dev/ttyACM7", "--policy", "ik", "camera=file", "camera.path=picture.png")
+    code, _, error = run("run-real", "port=/dev/null", "--policy", "ik", "camera=file", "camera.path=picture.png")
     assert (code, "calibration.json cannot be read" in error, "calibrate-hand-eye" in error) == (1, True, True)
 
 
 def test_a_busy_port_is_named(run, served):
     server, firmware = served
-    arm = lab.connect(server.path, speed=50.0, parks=False)
+    arm = session.connect(server.path, speed=50.0, parks=False)
     code, _, error = run("run-real", "--port", server.path, *TARGET, *FAST)
     arm.close()
     assert (code, "in use by another program" in error) == (1, True)
@@ -647,6 +364,3 @@ def test_the_commands_are_in_the_help(tmp_path):
             f"uarm-rl {command}:" in done.stdout,
             "port" in done.stdout or command == "calibrate-camera",
         ) == (0, True, True)
-
-
-assert HOME  # of the bench

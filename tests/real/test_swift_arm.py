@@ -16,8 +16,9 @@ from uarm_rl.emulator.motion import KinematicJoints
 from uarm_rl.emulator.pty import PtyServer
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.real.audit import Limits, UnsafeCommandError
+from uarm_rl.real.handshake import NotReadyError
 from uarm_rl.real.link import BadReplyError, CommandRefusedError, LinkLostError, NoReplyError, open_link
-from uarm_rl.real.swift_arm import NotReadyError, PumpError, PumpState, SwiftArm
+from uarm_rl.real.swift_arm import PumpError, PumpState, SwiftArm
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import Arm
 
@@ -33,13 +34,13 @@ def test_it_is_an_arm():
 def test_the_first_thing_said_is_pump_off():
     bench = Bench()
     bench.connect()
-    assert bench.lines() == ["M2231 V0", "P2203", "P2231", "P2234", "P2400", "M17", "P2200"]
+    assert bench.lines() == ["M2231 V0", "P2203", "P2234", "P2400", "P2231", "M17", "P2200"]
 
 
 def test_another_tool_mode_is_set_back_and_verified():
     bench = Bench(Settings(tool_mode=3))
     bench.connect()
-    assert bench.lines()[4:7] == ["P2400", "M2400 S0", "P2400"]
+    assert bench.lines()[3:6] == ["P2400", "M2400 S0", "P2400"]
 
 
 @pytest.mark.parametrize("firmware", ["V4.5.0", "V4.8.0", "V4.10.0", "V4.11.0"])

@@ -1,16 +1,128 @@
-"""What the commands at the real arm share: the camera that a configuration names."""
+"""What the commands at the real arm share: values, policy and camera that a configuration names."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
 
+import numpy as np
+
+from uarm_rl import checks, files
+from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build
-from uarm_rl.real import session
+from uarm_rl.real.audit import Limits
+from uarm_rl.real.ports import camera_beside
+from uarm_rl.real.trials import Task, out_of_reach
+from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.policy import ActorPolicy, PolicyCard, PolicyFileError
+
+_FEED: Final = 20.0
+
+
+def ask(text: str) -> str:
+    """The user's answer to a question in the terminal. Raises :class:`UsageError` if nobody can answer."""
+    try:
+        return input(text)
+    except EOFError:
+        raise UsageError("the questions need somebody at a terminal to answer them; standard input has ended") from None
 
 
 def open_camera(settings: Settings) -> Any:
-    """The configured camera; that of an emulated arm if no other is named."""
+    """The configured camera; the one beside an emulated arm if no other is named."""
     camera = settings["camera"]
-    if camera["name"] == "openmv" and camera["port"] is None and settings["port"] and session.is_emulated(settings["port"]):
-        camera = camera | {"port": session.emulated_camera(settings["port"])}
+    if camera["name"] == "openmv" and camera["port"] is None and settings["port"]:
+        camera = camera | {"port": camera_beside(settings["port"])}
     return build("camera", camera)
+
+
+def limits(settings: Mapping[str, Any]) -> Limits:
+    """The audit's limits from a configuration; :class:`ValueError` with a sentence for values that cannot be used."""
+    pairs = {}
+    for name in ("x_m", "y_m", "z_m"):
+        low_high = settings[name]
+        if not isinstance(low_high, Sequence) or len(low_high) != 2:
+            raise ValueError(f"limits.{name} must be two numbers in metres, [low, high], got {low_high!r}")
+        pairs[name] = tuple(low_high)
+    return Limits(**(dict(settings) | pairs))
+
+
+def object_size(value: Any) -> tuple[float, float, float]:
+    """Length, width and height (m) of the object; :class:`ValueError` with a sentence for anything else."""
+    length, width, height = _three("object_size_m", value)
+    for side in (length, width, height):
+        checks.number("object_size_m", side, low=0.005, high=0.15)
+    return length, width, height
+
+
+def target(value: Any, max_press_m: float, within: Limits) -> Vector:
+    """A place that the user gives, shape (3,); :class:`UsageError` with a sentence if the arm cannot work there."""
+    place = np.array(_three("target", value))
+    if reason := out_of_reach(place):
+        raise UsageError(f"target={value}: {reason}; a target is three numbers in metres, e.g. --target 0.2 0 0.03")
+    check_press(float(place[2]), max_press_m, within)
+    return place
+
+
+def check_press(height_m: float, max_press_m: float, within: Limits) -> None:
+    """Raises :class:`UsageError` if pressing onto an object of that height would go below the table clearance."""
+    if height_m - max_press_m < within.table_clearance_m:
+        raise UsageError(
+            f"an upper surface {1000.0 * height_m:g} mm above the table is too low to press it by {1000.0 * max_press_m:g} mm: "
+            f"the cup stays {1000.0 * within.table_clearance_m:g} mm above it; lower max_press_m, or take a higher object"
+        )
+
+
+def _three(name: str, value: Any) -> tuple[float, float, float]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise ValueError(f"{name} must be three numbers in metres, got {value!r}")
+    first, second, third = (checks.number(name, number) for number in value)
+    return first, second, third
+
+
+def feed(card: PolicyCard, wanted: float | None) -> float:
+    """The firmware's F: as wanted, or as the policy was trained with."""
+    return checks.number("feed", card.servo.get("feed", _FEED) if wanted is None else wanted, low=0.1, high=250.0)
+
+
+def task_of(card: PolicyCard, settings: Settings) -> Task:
+    """What the policy was trained for, and how its objects are picked up."""
+    return Task(
+        hold=build("hold", card.hold),
+        **{key: getattr(card, key) for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
+        **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
+    )
+
+
+def load_policy(path: Path) -> ActorPolicy:
+    """The policy of a run folder, or in a file.
+
+    Raises :class:`UsageError` if there is none, and ``PolicyFileError`` for a file that cannot be used.
+    """
+    file = path / files.POLICY if path.is_dir() else path
+    if not file.is_file():
+        raise UsageError(
+            f"there is no policy {file}; name the folder of a trained run with --policy (uarm-rl train experiment=real_arm "
+            "makes one for the arm), or try the arm with --policy ik, the inverse-kinematics controller"
+        )
+    return ActorPolicy.load(file)
+
+
+def check_policy(card: PolicyCard, max_step_rad: float) -> list[str]:
+    """Warnings about a policy; raises ``PolicyFileError`` for one whose actions the arm may not carry out."""
+    try:
+        checks.number("max_delta_rad", card.max_delta_rad, low=0.0, high=max_step_rad, open_low=True)
+    except ValueError as error:
+        raise PolicyFileError(
+            f"the policy's action scale does not fit the arm: {error} (limits.max_step_rad); take a policy of another scale"
+        ) from None
+    warnings = []
+    servo = card.servo["name"]
+    if servo != "stepper":
+        warnings.append(
+            f"the policy was trained with servo={servo}; this arm moves as servo=stepper does, so expect less of it than of a "
+            "policy trained with experiment=real_arm"
+        )
+    if card.hold["name"] != "until_steady":
+        warnings.append("the policy was not trained to wait until the arm is steady; on this arm every decision does")
+    return warnings

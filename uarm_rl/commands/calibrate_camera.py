@@ -10,8 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from uarm_rl import checks
+from uarm_rl.commands.arm_settings import ask
 from uarm_rl.configuration import Settings, build
-from uarm_rl.real import collecting, session
+from uarm_rl.real import collecting
 from uarm_rl.real.vision.lens_fit import Board
 
 
@@ -21,7 +22,7 @@ def run(settings: Settings) -> None:
     count = checks.integer("count", settings["count"], low=1)
     with build("camera", settings["camera"]) as camera:
         if camera is not None:
-            collecting.collect_board_pictures(camera, board, folder, session.ask, count)
+            collecting.collect_board_pictures(camera, board, folder, ask, count)
     intrinsics, report = collecting.calibrate_intrinsics_from_folder(folder, board, settings["camera"]["name"])
     intrinsics.save(out)
     print(f"{report}\n{out}: the lens; go on with uarm-rl calibrate-hand-eye")

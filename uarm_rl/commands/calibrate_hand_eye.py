@@ -10,7 +10,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
-from uarm_rl.commands.arm_settings import open_camera
+from uarm_rl import signals
+from uarm_rl.commands.arm_settings import ask, limits, open_camera
 from uarm_rl.configuration import Settings, build
 from uarm_rl.real import collecting, session
 from uarm_rl.real.vision.camera_model import Intrinsics, nominal
@@ -21,15 +22,15 @@ def run(settings: Settings) -> None:
     """Measure where the camera sits on the arm with touched marks, touched now or in a file already."""
     detector, path, out = build("detector", settings["detector"]), Path(settings["observations"]), Path(settings["out"])
     lens = Intrinsics.load(Path(settings["lens"]))
-    arm_settings = {"limits": session.limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
+    arm_settings = {"limits": limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
     with ExitStack() as stack:
         camera = stack.enter_context(open_camera(settings))
         if camera is not None:
-            stack.enter_context(session.stopped_by_signals())
+            stack.enter_context(signals.interrupt_once())
             lens.check_size(camera.read())
             arm = stack.enter_context(session.connect(settings["port"], **arm_settings))
             arm.home()
-            collecting.collect_observations(arm, camera, detector, nominal(lens.image_size), path, session.ask)
+            collecting.collect_observations(arm, camera, detector, nominal(lens.image_size), path, ask)
     calibration, report = calibrate_hand_eye(collecting.read_observations(path, lens, detector), lens)
     calibration.save(out)
     print(f"{report}\n{out}: lens and mount, what run-real needs")

@@ -7,11 +7,43 @@ Examples:
 
 from __future__ import annotations
 
+import math
+from typing import Final
+
+from uarm_rl import checks, signals
+from uarm_rl.commands.arm_settings import limits
 from uarm_rl.configuration import Settings
 from uarm_rl.real import session
 
+_MOST_DEG: Final = 10.0
+_STRAY_DEG: Final = 0.5
+
+#: What a joint does when its angle grows (degrees up), and when it falls.
+_SIGNS: Final = {
+    1: ("the arm turned to its left (counter-clockwise, seen from above)", "the arm turned to its right"),
+    2: ("the lower arm leaned forward and the cup sank", "the lower arm leaned back and the cup rose"),
+    3: ("the forearm and the cup sank", "the forearm and the cup rose"),
+}
+
 
 def run(settings: Settings) -> None:
-    """Move one joint of the real arm by a few degrees."""
-    arm_settings = {"limits": session.limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
-    print("\n".join(session.jog(settings["port"], settings["joint"], settings["degrees"], **arm_settings)))
+    """Move one joint of the real arm by some degrees, and tell what happened."""
+    joint = checks.integer("joint", settings["joint"], low=1, high=3)
+    degrees = checks.number("degrees", settings["degrees"], low=-_MOST_DEG, high=_MOST_DEG)
+    arm_settings = {"limits": limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
+    with signals.interrupt_once(), session.connect(settings["port"], parks=False, **arm_settings) as arm:  # that moves far
+        before = arm.read_joints()
+        wanted = list(before)
+        wanted[joint - 1] += math.radians(degrees)
+        arm.move_joints(wanted)
+        after = arm.read_joints()
+    moved = [math.degrees(b - a) for a, b in zip(before, after, strict=True)]
+    up, down = _SIGNS[joint]
+    print(
+        f"joint{joint}: {math.degrees(before[joint - 1]):.2f} degrees before, {math.degrees(after[joint - 1]):.2f} after: "
+        f"moved by {moved[joint - 1]:+.2f} of {degrees:+.2f}\n"
+        f"right if {up if degrees > 0 else down}; if not, do not run the arm: its motors or encoders are mixed up"
+    )
+    moved[joint - 1] -= degrees
+    if max(map(abs, moved)) > _STRAY_DEG:
+        print("warning: the joints are not where they were sent; is something in the way, or are steps lost?")

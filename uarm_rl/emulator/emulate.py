@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, TracebackType
+from tempfile import TemporaryDirectory
+from types import TracebackType
 from typing import Any, Final
 
 import numpy as np
 
-from uarm_rl import checks
+from uarm_rl import checks, signals
 from uarm_rl.emulator.camera import SnapCamera
 from uarm_rl.emulator.faults import CameraFault, Fault
 from uarm_rl.emulator.firmware import Firmware
@@ -40,34 +39,23 @@ def emulate(*, speed: float, **workplace: Any) -> None:
     anything is printed.
     """
     checks.number("speed", speed, low=0.0, high=MAX_SPEED, open_low=True)
+    stop = threading.Event()
     with (
-        _stop_signals() as stop,
+        signals.heard(lambda number: stop.set()),
         Workplace(**workplace) as place,
         PtyServer(place.firmware, speed=speed) as arm,
         PtyServer(place.camera, speed=speed, reset_on_open=False) as camera,
+        TemporaryDirectory(prefix="uarm-rl-") as folder,
     ):
-        print(f"arm: {arm.path}\ncamera: {camera.path}\n{place}, {speed:g} times as fast as real; Ctrl-C ends it", flush=True)
         plugged = {"arm": arm, "camera": camera}
+        for name, server in plugged.items():  # beside each other, so that who has the arm's finds the camera's
+            Path(folder, name).symlink_to(server.path)
+            print(f"{name}: {Path(folder, name)}")
+        print(f"{place}, {speed:g} times as fast as real; Ctrl-C ends it", flush=True)
         while not stop.wait(_WAIT_S):
             for name in [name for name, server in plugged.items() if server.wait(0.0)]:
                 plugged.pop(name).close()  # raises what broke it
                 print(f"the cable of the {name} is unplugged", flush=True)
-
-
-@contextmanager
-def _stop_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set."""
-    stop = threading.Event()
-
-    def note(number: int, frame: FrameType | None) -> None:
-        stop.set()
-
-    handlers = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 class Workplace:

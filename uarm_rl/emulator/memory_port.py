@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from uarm_rl.emulator.pty import Device
-
-_QUANTUM_S = 0.002
-_READ_S = 0.02  # how long a read waits, as on the real port
+from uarm_rl.real.ports import READ_S
 
 
 class MemoryPort:
     """A ``Port`` of ``real.link`` and its clock: ``Link(port, "emulator", clock=port.clock)``.
 
-    ``firmware`` may be the camera as well. Time passes while somebody reads. ``written`` keeps the bytes from the host,
-    for tests and dry runs.
+    ``firmware`` may be the camera as well. Time passes while somebody reads, by ``quantum_s`` at once. ``written`` keeps
+    the bytes from the host.
     """
 
-    def __init__(self, firmware: Device) -> None:
+    def __init__(self, firmware: Device, *, quantum_s: float = 0.002) -> None:
         self.firmware = firmware
+        self._quantum_s = quantum_s
         self.written = bytearray()
         self._now_s = firmware.now_s
         self._received = bytearray()
@@ -30,9 +29,9 @@ class MemoryPort:
         return len(self._received)
 
     def read(self, size: int = 1) -> bytes:
-        deadline_s = self._now_s + _READ_S
+        deadline_s = self._now_s + READ_S
         while not self._received and self._now_s < deadline_s:
-            self._now_s += _QUANTUM_S
+            self._now_s += self._quantum_s
             self._received += self.firmware.advance(self._now_s)
             self._check_cable()
         data = bytes(self._received[:size])

@@ -9,21 +9,19 @@ from __future__ import annotations
 import math
 import multiprocessing
 import re
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final
 
 import numpy as np
 import yaml
 from filelock import FileLock, Timeout
 
-from uarm_rl import columns, files
+from uarm_rl import checks, columns, files, signals
 from uarm_rl.csvfile import Logbook
 from uarm_rl.files import CONFIG, POLICY, PROGRESS
 from uarm_rl.learn import checkpoint
@@ -102,7 +100,7 @@ def _locked(run_dir: Path) -> Iterator[None]:
 
 def check_same(run_dir: Path, settings: Settings, before: Settings) -> None:
     """Raises :class:`RunFolderError` if the run that is there was begun with other settings than these."""
-    if changed := differences({key: before.get(key) for key in settings}, settings):
+    if changed := checks.differences({key: before.get(key) for key in settings}, settings):
         longer = any(line.startswith("episodes=") for line in changed)
         reason = " (a longer run explores less quickly from its beginning on, so it is another run)" if longer else ""
         raise RunFolderError(
@@ -111,35 +109,19 @@ def check_same(run_dir: Path, settings: Settings, before: Settings) -> None:
         )
 
 
-def differences(before: Settings, now: Settings) -> list[str]:
-    """Each setting in which two configurations differ, in words, as in ``agent.gamma=0.9, not 0.99``."""
-    found = []
-    for key in [*before, *(key for key in now if key not in before)]:
-        then, wanted = before.get(key), now.get(key)
-        if isinstance(then, Mapping) and isinstance(wanted, Mapping):
-            found += [f"{key}.{inner}" for inner in differences(then, wanted)]
-        elif then != wanted:
-            found.append(f"{key}={then}, not {wanted}")
-    return found
-
-
 @contextmanager
 def stop_on_signals(announce: Callable[[str], None]) -> Iterator[Stop]:
     """Ctrl-C or SIGTERM asks for a stop after the decision in hand; a second Ctrl-C interrupts at once."""
     stop = Stop()
 
-    def handle(number: int, frame: FrameType | None) -> None:
+    def react(number: int) -> None:
         if stop.requested:
             raise KeyboardInterrupt
         stop.requested = True
         announce("stopping and saving; press Ctrl-C again to leave at once")
 
-    previous = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with signals.heard(react):
         yield stop
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def run(

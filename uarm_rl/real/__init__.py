@@ -3,12 +3,11 @@
 Read ``swift_arm.py`` first: the driver, behind the task's ``Arm`` protocol. Below it, from the wire upwards:
 
 - ``ports.py``: which serial port is whose; ``link.py``: numbered requests with deadlines; ``gcode.py``: commands and replies
-- ``audit.py``: one pure function between a wish and the wire
-- ``dryrun.py``: a port with nobody behind it
+- ``handshake.py``: the first words; ``audit.py``: one pure function between a wish and the wire
 
 On it: ``trials.py`` (find, reach, suck, lift, put down), ``search.py`` (find with the camera), ``session.py`` (connect,
 record), ``doctor.py`` (look at everything), ``collecting.py`` (what a calibration needs). Cameras and
 geometry: ``vision/__init__.py``.
 
-Uses ``task``, and of ``report`` the intervals. Needs neither torch nor PyBullet.
+Uses ``task``. Needs neither torch nor PyBullet.
 """

@@ -32,13 +32,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
 
-import cv2
 import numpy as np
 
-from uarm_rl import columns, csvfile, files
+from uarm_rl import columns, csvfile
 from uarm_rl.real.audit import UnsafeCommandError
 from uarm_rl.real.vision import projection
-from uarm_rl.real.vision.camera import Camera, Picture, picture_files, read_picture
+from uarm_rl.real.vision.camera import Camera, Picture, picture_files, read_picture, write_picture
 from uarm_rl.real.vision.camera_model import Calibration, CalibrationError, Intrinsics, Observation
 from uarm_rl.real.vision.detection import Detector, TargetNotFoundError
 from uarm_rl.real.vision.lens_fit import Board, calibrate_intrinsics
@@ -85,12 +84,6 @@ def calibrate_intrinsics_from_folder(folder: Path, board: Board, camera: str) ->
     """The lens from all pictures of a folder, and a report; see ``lens_fit.calibrate_intrinsics``."""
     paths = picture_files(folder)
     return calibrate_intrinsics([read_picture(path) for path in paths], board, camera, [path.name for path in paths])
-
-
-def write_picture(path: Path, picture: Picture) -> None:
-    """Write a picture (BGR) as PNG, whole or not at all."""
-    _, data = cv2.imencode(".png", picture)
-    files.replace(path, data.tobytes())
 
 
 # Observations as a table

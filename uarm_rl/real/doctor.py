@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 from serial.tools import list_ports
 
 from uarm_rl.real import gcode, link
+from uarm_rl.real.handshake import NotReadyError, greet
 from uarm_rl.real.ports import device_at
-from uarm_rl.real.swift_arm import NEWEST_TESTED_FIRMWARE, OLDEST_FIRMWARE
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError
 
 if TYPE_CHECKING:
     from uarm_rl.real.vision.camera import Camera, Picture
 
-_BOOT_S: Final = 6.0
 _OLD_DAYS: Final = 90
 
 
@@ -73,39 +72,29 @@ def arm(name: str) -> Iterator[Finding]:
 
 
 def _examine(connection: link.Link) -> Iterator[Finding]:
-    ready = False
-
-    def notice(event: link.Event) -> None:
-        nonlocal ready
-        ready = ready or (isinstance(event, gcode.Report) and event.kind in (gcode.READY, gcode.POWER))
-
-    connection.on_event = notice
-    connection.listen(_BOOT_S, until=lambda: ready)
-    connection.request(gcode.PUMP_OFF, _BOOT_S)
-    text = connection.request(gcode.READ_FIRMWARE).text
-    version = gcode.version(text)
-    if version is None or not OLDEST_FIRMWARE <= version < (5, 0, 0):
-        yield Finding("problem", "firmware", f"{text or 'not given'}; V4.5.0 or later is needed: update it with uArm Studio")
+    try:
+        found = greet(connection)
+    except NotReadyError as error:
+        yield Finding("problem", "firmware", str(error))
         return
-    new = version > NEWEST_TESTED_FIRMWARE
-    yield Finding(
-        "warning" if new else "ok", "firmware", f"{text}{', newer than what this driver was tested with' if new else ''}"
-    )
-    if connection.read_value(gcode.READ_POWER, "V") == 1:
+    version = "V{}.{}.{}".format(*found.firmware)
+    if found.is_new:
+        yield Finding("warning", "firmware", f"{version}, newer than what this driver was tested with")
+    else:
+        yield Finding("ok", "firmware", version)
+    if found.has_power:
         yield Finding("ok", "12 V", "present")
     else:
         yield Finding("problem", "12 V", "missing; plug in the power supply and press the arm's power button")
-    mode = connection.read_value(gcode.READ_MODE, "V")
-    if mode == 0:
+    if found.tool_mode == 0:
         yield Finding("ok", "tool mode", "0, the suction cup")
     else:
-        yield Finding("warning", "tool mode", f"{mode:g}; run-real sets it to 0, the suction cup, for good")
+        yield Finding("warning", "tool mode", f"{found.tool_mode:g}; run-real sets it to 0, the suction cup, for good")
     base, left, right = connection.read_values(gcode.READ_ANGLES, "BLR")
     joints = kinematics.from_motor_deg(base, left, right)
     x, y, z = (1000.0 * kinematics.cup_position(joints)).tolist()
     words = f"B {base:.1f}, L {left:.1f}, R {right:.1f} degrees: the cup should be at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
-    legal = kinematics.within_limits(joints, tolerance_rad=math.radians(1.0))
-    if legal:
+    if kinematics.within_limits(joints, tolerance_rad=math.radians(1.0)):
         yield Finding("ok", "encoders", f"{words}; measure once whether it is")
     else:
         yield Finding(
@@ -144,9 +133,8 @@ def calibration(path: Path, picture: Picture | None) -> Finding:
             loaded.lens.check_size(picture)
     except CalibrationError as error:
         return Finding("problem", "calibration", str(error))
-    words = (
-        f"{path} is {loaded.age_days()} days old, for pictures of {loaded.lens.image_size[0]} x {loaded.lens.image_size[1]}, "
-    )
+    width, height = loaded.lens.image_size
+    words = f"{path} is {loaded.age_days()} days old, for pictures of {width} x {height}, "
     words += f"off by {loaded.held_out_mm:.1f} mm where that was tested"
     if loaded.age_days() > _OLD_DAYS:
         return Finding("warning", "calibration", f"{words}; calibrate again if anything was moved or refocused since")

@@ -61,6 +61,7 @@ class Link:
     def __init__(self, port: Port, name: str, *, clock: Callable[[], float] = time.monotonic) -> None:
         self.name = name
         self.on_event: Callable[[Event], None] = lambda event: None
+        self.started = False  # the firmware has said that it is ready
         self._port = port
         self._clock = clock
         self._number = 0
@@ -200,6 +201,8 @@ class Link:
         elif isinstance(message, gcode.Noise):
             self._last_noise = message.text
         else:
+            # Firmware 3.2 reports its power alone.
+            self.started |= isinstance(message, gcode.Report) and message.kind in (gcode.READY, gcode.POWER)
             self.on_event(message)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from collections.abc import Iterable
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -93,6 +94,30 @@ def find_port(device: Device, ports: Iterable[Any] | None = None) -> str:
     )
 
 
+def named_port(device: Device, name: str | None) -> str:
+    """``name``, or that of the one port with such a device. Raises :class:`PortError` if there is none, and opens nothing."""
+    if name is None:
+        return find_port(device)
+    if name.startswith("/") and not os.path.exists(name):
+        raise PortError(_missing(device, name))
+    return name
+
+
+#: Pseudo-terminals, of Linux and of macOS.
+_PTY: Final = re.compile(r"/dev/(?:pts/\d+|ttys\d{3})")
+
+
+def is_emulated(name: str) -> bool:
+    """Whether a port is a pseudo-terminal: then no real arm is behind it."""
+    return os.path.exists(name) and _PTY.fullmatch(os.path.realpath(name)) is not None
+
+
+def camera_beside(name: str) -> str | None:
+    """The port of the emulated camera that lies beside an emulated arm's; ``None`` for others (see ``emulator.emulate``)."""
+    path = os.path.join(os.path.dirname(name), "camera")
+    return path if is_emulated(name) and is_emulated(path) else None
+
+
 def open_port(device: Device, name: str, *, write_timeout_s: float) -> Port:
     """Open the device's port for this process alone. Raises :class:`PortError`.
 
@@ -123,5 +148,9 @@ def _why_not_open(device: Device, name: str, error: Exception) -> str:
             "try again"
         )
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return f"there is no port {name}; {device.plug_in}, or leave the port out to find {device.name} by its USB id"
+        return _missing(device, name)
     return f"{name} cannot be opened as the port of {device.name} ({error}); {device.name_it}"
+
+
+def _missing(device: Device, name: str) -> str:
+    return f"there is no port {name}; {device.plug_in}, or leave the port out to find {device.name} by its USB id"

@@ -5,44 +5,35 @@ from __future__ import annotations
 import enum
 import logging
 import math
-import signal
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from types import FrameType, TracebackType
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
 from typing import Final
 
-from uarm_rl import checks
+from uarm_rl import checks, signals
 from uarm_rl.real import gcode
 from uarm_rl.real.audit import Limits, audit
+from uarm_rl.real.handshake import PUMP_S, NotReadyError, greet
 from uarm_rl.real.link import BadReplyError, CommandRefusedError, Event, Link, NoReplyError
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
 
 log = logging.getLogger(__name__)
 
-OLDEST_FIRMWARE: Final = (4, 5, 0)  # the first with G2206
-NEWEST_TESTED_FIRMWARE: Final = (4, 10, 0)
 _FLUSH_FIRMWARE: Final = (4, 10, 0)  # before, 0x18 is a bare reset of grbl, which locks it
 
 #: Folded onto itself (L 118, R 50 degrees): the pose from which an arm without power does not fall.
 PARK_JOINTS_RAD: Final[JointPositions] = (0.0, math.radians(90.0 - 118.0), math.radians(118.0 + 50.0 - 90.0))
 
 _STRAY_RAD: Final = math.radians(2.0)  # an encoder is a tenth of that off
-_BOOT_S: Final = 6.0  # boot loader 1 to 2 s; firmware 3.2 is silent for another 2.5 s
 _MOTION_SLACK_S: Final = 2.0  # on top of the time that a move takes by the firmware's speed law
 _MOTORS_S: Final = 2.0
-_PUMP_S: Final = 2.0  # boards of hardware 3.3.0 pulse the valve for 1 s and answer nothing meanwhile
 _PUMP_POLL_S: Final = 0.05
 # The questions of the safe end, which together stay below 1 s.
 _END_S: Final = 0.2
 _END_LOOK_S: Final = 0.1
 _END_LOOKS: Final = 3
 _PUMP_UNKNOWN: Final = "the arm did not confirm that the pump is off; if it still runs, unplug the 12 V power supply"
-
-
-class NotReadyError(ArmError):
-    """The arm answers but cannot work: no 12 V, a foreign firmware, the wrong tool mode."""
 
 
 class ResetError(ArmError):
@@ -101,8 +92,7 @@ class SwiftArm:
         self._awaited: int | None = None  # number of the move whose "ok" is due
         self._sent_s = 0.0  # when the last move was sent
         self._arrives_within_s = 0.0
-        self._ready = False  # the firmware has started
-        self._working = False  # and is not expected to start again
+        self._working = False  # the firmware has started, and is not expected to start again
         self._closed = False
         try:
             self._period_s = 1.0 / checks.number("control_hz", control_hz, low=1.0, high=1000.0)
@@ -121,42 +111,27 @@ class SwiftArm:
 
     def _connect(self) -> None:
         link = self._link
-        if not link.listen(_BOOT_S, until=lambda: self._ready):
-            log.warning("%s: no ready banner; either the arm was running already or this is not its port", link.name)
-        link.request(gcode.PUMP_OFF, _PUMP_S if self._ready else _BOOT_S)  # a running arm may be in the middle of a move
-        firmware = link.request(gcode.READ_FIRMWARE).text
-        version = gcode.version(firmware)
-        if version is None or not OLDEST_FIRMWARE <= version < (5, 0, 0):
-            raise NotReadyError(
-                f"the arm runs firmware {firmware or '(no version given)'}; this driver needs V4.5.0 or later of the V4 "
-                "family, because 3.2 has no command for all three motors and says ok before a move has ended; update "
-                "it with UFACTORY's uArm Studio"
-            )
-        self.firmware = version
-        if version > NEWEST_TESTED_FIRMWARE:
-            log.warning("firmware %s is newer than V4.10.0, the newest this driver knows", firmware)
-        self._await_pump((PumpState.STOPPED,), "did not stop")
-        if link.read_value(gcode.READ_POWER, "V") != 1:
+        arm = greet(link)
+        self.firmware = arm.firmware
+        if arm.is_new:
+            log.warning("firmware V%d.%d.%d is newer than the newest that this driver knows", *arm.firmware)
+        if not arm.has_power:
             raise NotReadyError("the arm has no 12 V power; plug in the power supply and press the arm's power button")
-        if link.read_value(gcode.READ_MODE, "V") != 0:  # ask first: setting the mode writes the EEPROM
+        if arm.tool_mode != 0:  # ask first: setting the mode writes the EEPROM
             link.request(gcode.SUCTION_MODE)
             if (mode := link.read_value(gcode.READ_MODE, "V")) != 0:
                 raise NotReadyError(f"the arm stays in tool mode {mode:g}; mode 0 (suction cup) is needed: restart the arm")
             log.info("tool mode set to 0 (suction cup)")
+        self._await_pump((PumpState.STOPPED,), "did not stop")
         link.request(gcode.MOTORS_ON, _MOTORS_S)
 
     def _notice(self, event: Event) -> None:
-        if isinstance(event, gcode.Boot):
-            if self._working:
-                raise ResetError(
-                    "the arm's controller restarted; check the power supply and let the arm cool down, then start again"
-                )
-        elif event.kind == gcode.POWER and event.words.get("V") == "0":
+        if isinstance(event, gcode.Report) and event.kind == gcode.POWER and event.words.get("V") == "0":
             raise NotReadyError("the arm lost its 12 V power; check the power supply, then start again")
-        elif event.kind in (gcode.READY, gcode.POWER):  # firmware 3.2 sends the second only
-            if self._working and event.kind == gcode.READY:
-                self._notice(gcode.Boot())
-            self._ready = True
+        if self._working and (isinstance(event, gcode.Boot) or event.kind == gcode.READY):
+            raise ResetError(
+                "the arm's controller restarted; check the power supply and let the arm cool down, then start again"
+            )
 
     # The Arm protocol
 
@@ -233,13 +208,13 @@ class SwiftArm:
     def pump_on(self) -> None:
         """Suck, after the arm has come to rest (the firmware would switch the pump in motion), and read back."""
         self.wait_until_idle()
-        self._link.request(gcode.PUMP_ON, _PUMP_S)
+        self._link.request(gcode.PUMP_ON, PUMP_S)
         self._await_pump((PumpState.PUMPING, PumpState.HOLDING), "did not start")
 
     def pump_off(self) -> None:
         """Let go, after the arm has come to rest, and read back."""
         self.wait_until_idle()
-        self._link.request(gcode.PUMP_OFF, _PUMP_S)
+        self._link.request(gcode.PUMP_OFF, PUMP_S)
         self._await_pump((PumpState.STOPPED,), "did not stop")
 
     def pump_state(self) -> PumpState:
@@ -249,7 +224,7 @@ class SwiftArm:
         return PumpState(int(value))
 
     def _await_pump(self, wanted: tuple[PumpState, ...], what: str) -> None:
-        for _ in range(round(_PUMP_S / _PUMP_POLL_S)):
+        for _ in range(round(PUMP_S / _PUMP_POLL_S)):
             if (state := self.pump_state()) in wanted:
                 return
             self._link.listen(_PUMP_POLL_S)
@@ -291,7 +266,7 @@ class SwiftArm:
     def _end(self, reason: BaseException | None) -> None:
         if self._closed:
             return
-        with _interrupts_deferred():
+        with signals.deferred():
             self._closed = True
             # A flush leaves the arm ready for another move. A feed hold, all that older firmware has, does not.
             may_park = self._parks and self._working and (not self._in_motion or self.firmware >= _FLUSH_FIRMWARE)
@@ -339,24 +314,3 @@ class SwiftArm:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._end(error)
-
-
-@contextmanager
-def _interrupts_deferred() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back until the (short) body has run; Python allows that in the main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    caught: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        caught.append(number)
-
-    handlers = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-        if caught:
-            signal.raise_signal(caught[0])

@@ -28,6 +28,7 @@ from uarm_rl.task.rollout import run_episode
 Row = dict[str, Any]  # with keys of ``columns.TRIALS``
 
 LIFT_M: Final = 0.06  # as high as ``positions`` demands that the cup can come from
+_SEEN_FROM_M: Final = 0.16  # from the base's axis to what a camera ahead of the cup sees
 _PIECE_M: Final = 0.015  # a straight line in joint angles bends by 0.4 mm over so much height, by 7 mm over the lift
 _MIDDLE_M: Final = (0.15, 0.32)  # radii at which the arm reaches every height up to the lift
 _PRESS_STEP_M: Final = 0.001
@@ -150,8 +151,9 @@ def run_trials(
     put_down: Callable[[Vector], Vector] | None,
     *,
     trials: int,
+    first: int = 1,
 ) -> Iterator[Trial]:
-    """Carry out ``trials`` trials and yield each result as it comes.
+    """Carry out the trials from number ``first`` to ``trials`` and yield each result as it comes.
 
     ``put_down`` tells where an object goes that was at a place (both are centres of its upper surface), so that every
     trial is another one: an object that the policy did not get is fetched by inverse kinematics and goes there too, after
@@ -162,7 +164,7 @@ def run_trials(
     """
     env = task.env(arm)
     at: Vector | None = None
-    for number in range(1, trials + 1):
+    for number in range(first, trials + 1):
         clamps = arm.clamps
         row: Row = {"trial": number, "success": False, "reached": False, "firmware": "V{}.{}.{}".format(*arm.firmware)}
         picture = None
@@ -185,6 +187,18 @@ def run_trials(
                 row["reason"] = row["reason"] or lost
         row["clamps"] = arm.clamps - clamps
         yield Trial(row, picture)
+
+
+def scattered(generator: np.random.Generator) -> Callable[[Vector], Vector]:
+    """Puts each object down at a random place of the operating range that the camera sees, at the height it came from."""
+
+    def put_down(target_m: Vector) -> Vector:
+        while True:
+            place = positions.draw(generator, float(target_m[2]))
+            if math.hypot(place[0], place[1]) >= _SEEN_FROM_M:
+                return place
+
+    return put_down
 
 
 def out_of_reach(target_m: Vector) -> str:

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl import checks
+from uarm_rl import checks, files
 from uarm_rl.real.ports import BROKEN, CAMERA, READ_S, Port, PortError, find_port, open_port
 
 log = logging.getLogger(__name__)
@@ -339,6 +339,12 @@ def picture_files(folder: Path) -> list[Path]:
     if not paths:
         raise CameraError(f"{folder} holds no pictures ({', '.join(_SUFFIXES)}); put some there, or name another folder")
     return paths
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a picture (BGR) as PNG, whole or not at all."""
+    _, data = cv2.imencode(".png", picture)
+    files.replace(path, data.tobytes())
 
 
 def read_picture(path: Path) -> Picture:
