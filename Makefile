@@ -21,14 +21,10 @@ demo: $(VENV)/.installed  ## train method C for a short budget, test it on the 1
 RESULTS ?= results
 SEEDS ?= 0,1,2
 METHODS ?= A,B,C,D,real_arm
-EPISODES ?= 1500
-ABLATION_EPISODES ?= 300
+# Each is a file in conf/experiment that holds what it varies.
+STUDIES ?= long_servo,reference,halves,fixed_hold,servo,instant,sigma,gamma,tolerance,dwell,damping,beta,threshold
 SIDE_BY_SIDE ?= hydra/launcher=joblib hydra.launcher.n_jobs=2 simulate_beside=false
 TRAIN = $(BIN)/uarm-rl train -m resume=true $(SIDE_BY_SIDE)
-TRAIN_SHORT = $(TRAIN) results_dir=$(RESULTS)/ablations episodes=$(ABLATION_EPISODES)
-TRAIN_LONG = $(TRAIN) results_dir=$(RESULTS)/ablations episodes=$(EPISODES)
-SERVO := servo-$${servo.natural_frequency_rad_s}-$${buffer.name}-$${reward.name}
-BOTH_BUFFERS := buffer=adaptive,uniform reward=penalty
 EVALUATE = $(BIN)/uarm-rl evaluate results_dir=$(RESULTS)
 
 paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the report; about 7 hours on two cores
@@ -48,19 +44,8 @@ paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the repor
 	$(EVALUATE) policy=ik positions=heldout out=heldout.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
-# gamma=0.992 discounts a second as much as 0.9 does when a decision takes 13 control steps.
 ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 6 hours on two cores
-	$(TRAIN_SHORT) seed=$(SEEDS) experiment=A,C,D,steady_only,unstuck_only,fixed_hold $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) experiment=servo buffer=adaptive,uniform servo.natural_frequency_rad_s=2.5,10,14,20 $(OVERRIDES)
-	$(TRAIN_LONG) seed=$(SEEDS) experiment=servo buffer=uniform servo.natural_frequency_rad_s=14 'name=long-$(SERVO)' $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) experiment=instant buffer=adaptive,uniform $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) experiment=sigma reward.sigma=-1,-20 $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) agent.gamma=0.992 'name=gamma$${agent.gamma}-$${buffer.name}' $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) tolerance_m=0.01 'name=tolerance$${tolerance_m}-$${buffer.name}' $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) dwell_s=0.25,1 'name=dwell$${dwell_s}-$${buffer.name}' $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) servo.damping=0.3,0.8 'name=damping$${servo.damping}-$${buffer.name}' $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) $(BOTH_BUFFERS) reward.beta=0.1,0.3,1,3,30 'name=beta$${reward.beta}-$${buffer.name}' $(OVERRIDES)
-	$(TRAIN_SHORT) seed=$(SEEDS) experiment=C buffer.hold.steady_threshold_rad=0.002 'name=threshold0.002-$${buffer.name}' $(OVERRIDES)
+	$(TRAIN) results_dir=$(RESULTS)/ablations experiment=$(STUDIES) seed=$(SEEDS) $(OVERRIDES)
 	$(BIN)/uarm-rl evaluate results_dir=$(RESULTS)/ablations overwrite=true
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 

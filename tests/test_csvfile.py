@@ -90,7 +90,7 @@ def test_a_run_that_went_through_a_spreadsheet_gives_the_same_report(tmp_path):
             text = (committed / file).read_text()
             data = text.encode() if name == "plain" else text.replace(",", ";").replace(".", ",").encode("utf-16")
             (folder / file).write_bytes(data)
-        report(tmp_path / name)
+        report(tmp_path / name, {})
     for file in (path.name for path in (tmp_path / "plain").iterdir() if path.is_file()):
         assert (tmp_path / "saved" / file).read_bytes() == (tmp_path / "plain" / file).read_bytes()
 

@@ -34,7 +34,7 @@ WINGS = {
     "uarm_rl": {"configuration", "task"},
     "__main__": {"cli"},
 }
-ROOT_FILES = {"checks", "columns", "files", "csvfile", "signals", "workers"}
+ROOT_FILES = {"checks", "columns", "csvfile", "files", "signals", "studies", "workers"}
 
 #: Third-party packages, and the parts of the package that may use them.
 OWNERS = {

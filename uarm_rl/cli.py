@@ -16,6 +16,7 @@ from uarm_rl.commands.errors import explain, printable
 from uarm_rl.commands.help import config_name, help_text, overview
 from uarm_rl.commands.words import as_overrides, check, given_twice
 from uarm_rl.configuration import Settings, compose, flat, our_hydra, plain
+from uarm_rl.studies import studies
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -108,33 +109,51 @@ def _run_many(command: str, overrides: list[str]) -> None:
 
     A job that fails is named at once and does not keep the others from running; what it failed with is its return value.
     """
-    from hydra.types import RunMode
+    from hydra._internal.callbacks import Callbacks
+    from hydra.core.plugins import Plugins
+    from hydra.types import HydraContext, RunMode
 
+    swept, words = combinations(overrides)
+    composed = [compose(command, job) for job in words]
+    first = [number for number, settings in enumerate(composed) if settings not in composed[:number]]  # studies overlap
+    jobs = [words[number] for number in first]
+    labels = [_label(job, swept) for job in jobs]
+    _check_outputs(command, labels, [composed[number] for number in first])
     with our_hydra() as hydra:
-        swept, jobs = _jobs(hydra, overrides)
-        labels = [_label(job, swept) for job in jobs]
-        _check_outputs(command, labels, [compose(command, job) for job in jobs])
-        sweep = hydra.compose_config(config_name(command), overrides, RunMode.MULTIRUN, with_log_configuration=False)
-        for path in (Path(sweep.hydra.sweep.dir), Path(sweep.hydra.sweep.dir) / "multirun.yaml"):
-            if path.is_symlink():
-                raise UsageError(f"{path} is a link, and Hydra would write through it; remove it")
-        batches = hydra.multirun(config_name(command), partial(_job, command, swept), overrides)
-    failures: list[Failure | None] = [job.return_value for batch in batches for job in batch]
+        ours = [word for word in overrides if word.startswith("hydra")]
+        launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks()),
+            task_function=partial(_job, command, swept),
+            config=hydra.compose_config(config_name(command), ours, RunMode.MULTIRUN, with_log_configuration=False),
+        )
+        failures: list[Failure | None] = [job.return_value for job in launcher.launch(jobs, initial_job_idx=0)]
     failed = [(label, failure[1]) for label, failure in zip(labels, failures, strict=True) if failure is not None]
     if failed:
         _fail(f"{len(failed)} of {len(jobs)} jobs failed: {'; '.join(label for label, _ in failed)}", failed[0][1])
 
 
-def _jobs(hydra: Any, overrides: list[str]) -> tuple[frozenset[str], list[tuple[str, ...]]]:
-    """The keys that are given several values, and the overrides of every job."""
+def combinations(overrides: Iterable[str]) -> tuple[frozenset[str], list[list[str]]]:
+    """The keys that are given several values, and the overrides of every job.
+
+    A study sweeps by itself what it varies; where the command line gives one of these keys too, the command line counts.
+    """
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    parsed = OverridesParser.create(config_loader=hydra.config_loader).parse_overrides(overrides)
-    ours = [override for override in parsed if not override.is_hydra_override()]
-    (jobs,) = BasicSweeper.split_arguments(ours, max_batch_size=None)
-    swept = frozenset(override.get_key_element() for override in ours if override.is_sweep_override())
-    return swept, [tuple(job) for job in jobs]
+    swept: set[str] = set()
+    jobs: list[list[str]] = []
+    with our_hydra() as hydra:
+        parser = OverridesParser.create(config_loader=hydra.config_loader)
+        given = [override for override in parser.parse_overrides([*overrides]) if not override.is_hydra_override()]
+        experiments = [override for override in given if override.get_key_element() == "experiment"]
+        others = [override for override in given if override.get_key_element() != "experiment"]
+        for experiment in BasicSweeper.split_arguments(experiments, None)[0]:
+            study = studies().get("".join(experiment).partition("=")[2], {})
+            words = [*experiment, *(f"{key}={','.join(map(str, values))}" for key, values in study.items())]
+            jobs += BasicSweeper.split_arguments([*parser.parse_overrides(words), *others], None)[0]
+            swept |= set(study)
+        swept |= {override.get_key_element() for override in given if override.is_sweep_override()}
+    return frozenset(swept), jobs
 
 
 def _label(job: Iterable[str], swept: frozenset[str]) -> str:
@@ -161,8 +180,6 @@ def _apart(place: Path, jobs: list[Settings]) -> str:
     different = [key for key, value in jobs[0].items() if any(job.get(key) != value for job in jobs)]
     groups = [key.removesuffix("name") for key in different if key.endswith(".name")]  # whose name says all of the group
     different = [key for key in different if not any(key.startswith(group) and key != f"{group}name" for group in groups)]
-    if not different:
-        return "they are the same; leave all but one of them out"
     usual = ["buffer.name", "reward.name"] if "name" in jobs[0] else []
     values = "-".join(
         f"${{{key}}}" if key.endswith(".name") else f"{key.rpartition('.')[2]}${{{key}}}"

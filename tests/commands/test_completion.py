@@ -25,8 +25,8 @@ def folder(tmp_path, monkeypatch):
         ("uarm-rl tr", ["train"]),
         ("uarm-rl --v", ["--version"]),
         ("uarm-rl train buffer=ad", ["buffer=adaptive"]),
-        ("uarm-rl train experiment=un", ["experiment=unstuck_only"]),
-        ("uarm-rl train experiment=A,r", ["experiment=A,real_arm"]),
+        ("uarm-rl train experiment=ha", ["experiment=halves"]),
+        ("uarm-rl train experiment=A,rea", ["experiment=A,real_arm"]),
         ("uarm-rl evaluate hold=un", ["hold=until_steady"]),
         ("uarm-rl evaluate bu", []),  # a group that this command does not have
         ("uarm-rl train buf", ["buffer=", "buffer."]),

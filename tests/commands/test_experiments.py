@@ -12,6 +12,7 @@ import pytest
 
 from tests.conftest import FAST
 from uarm_rl import cli, configuration
+from uarm_rl.studies import studies
 
 ROOT = Path(__file__).parents[2]
 TINY = (*FAST, "episodes=2", "experiences_per_episode=20", "time_limit_s=0.1", "simulate_beside=false")
@@ -24,38 +25,45 @@ def lines(goal: str, **variables: str) -> list[list[str]]:
     return [shlex.split(line)[1:] for line in dry.stdout.splitlines() if "/uarm-rl " in line]
 
 
-def jobs(words: list[str]) -> list[tuple[str, ...]]:
-    """The overrides of every run that a line with commas stands for."""
-    pairs = [word.partition("=") for word in words if "=" in word and not word.startswith("hydra")]
-    return [
-        tuple(f"{name}={value}" for (name, _, _), value in zip(pairs, values, strict=True))
-        for values in product(*(text.split(",") for _, _, text in pairs))
-    ]
+def jobs(words: list[str]) -> list[list[str]]:
+    """The overrides of every run that a line stands for."""
+    return cli.combinations(words)[1]
 
 
 @pytest.mark.parametrize("goal", ["paper", "ablations"])
 def test_every_line_composes_and_skips_what_is_finished(goal):
     for command, *words in lines(goal, SEEDS="7"):
         assert command in ("train", "evaluate", "report")
-        for overrides in jobs(words):
+        for overrides in jobs([word for word in words if word != "-m"]):
             assert configuration.compose(command, overrides)
         if command == "train":
             assert {"-m", "resume=true"} <= set(words)
 
 
 def test_no_two_runs_share_a_folder():
+    """Studies share some runs, and these are the same in all of them."""
     trained = [
-        job for goal in ("paper", "ablations") for command, *words in lines(goal) if command == "train" for job in jobs(words)
+        configuration.compose("train", job)
+        for goal in ("paper", "ablations")
+        for command, _, *words in lines(goal, SEEDS="0")
+        if command == "train"
+        for job in jobs(words)
     ]
-    folders = [
-        f"{run['results_dir']}/{run['name']}/seed{run['seed']}"
-        for run in (configuration.compose("train", job) for job in trained)
-    ]
-    assert len(set(folders)) == len(folders) == 3 * (5 + 6 + 8 + 1 + 2 + 2 + 2 + 2 + 4 + 4 + 10 + 1)
+    runs = {f"{run['results_dir']}/{run['name']}/seed{run['seed']}": run for run in trained}
+    assert len(runs) == 5 + (2 + 2 + 1) + (8 + 1 + 2) + 3 + (2 + 2 + 4 + 4 + 10 + 1)
+    assert all(run == runs[f"{run['results_dir']}/{run['name']}/seed{run['seed']}"] for run in trained)
+    lengths = {run["name"]: run["episodes"] for run in trained if run["results_dir"] == "results/ablations"}
+    assert {name for name, episodes in lengths.items() if episodes != 300} == {"long-servo-14-uniform-penalty"}
+
+
+def test_the_target_runs_every_study():
+    (command, *words), *_ = lines("ablations")
+    (chosen,) = (word.removeprefix("experiment=") for word in words if word.startswith("experiment="))
+    assert (command, sorted(chosen.split(","))) == ("train", sorted(studies()))
 
 
 def test_the_papers_runs_are_the_papers():
-    (command, *words), *_ = lines("paper")
+    (command, _, *words), *_ = lines("paper")
     assert (command, "seed=0,1,2" in words) == ("train", True)
     for run in (configuration.compose("train", job) for job in jobs(words) if "seed=0" in job):
         assert (run["episodes"], run["experiences_per_episode"], run["tolerance_m"]) == (1500, 200, 0.005)
@@ -68,20 +76,14 @@ def test_small_ones_go_through_to_the_report(tmp_path, monkeypatch, capsys):
     variables = {
         "SEEDS": "0",
         "METHODS": "A,B",
-        "ABLATION_EPISODES": "2",
+        "STUDIES": "fixed_hold",
         "SIDE_BY_SIDE": "",
         "OVERRIDES": " ".join(TINY),
     }
-    few = {
-        "experiment=A,C,D,steady_only,unstuck_only,fixed_hold": "experiment=C,fixed_hold",
-    }
     for words in lines("paper", **variables)[:-1] + lines("ablations", **variables):
-        words = [few.get(word, word) for word in words]
         if any(word.startswith("out=") for word in words):
             words = [*words, "positions=two.csv"]
-        if not {"policy=ik", "experiment=servo", "experiment=instant", "experiment=sigma", "buffer=adaptive,uniform"} & set(
-            words
-        ):
+        if "policy=ik" not in words:
             cli.main(words)
     results = tmp_path / "results"
     made = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file() and "seed0" not in str(path)}
@@ -93,5 +95,6 @@ def test_small_ones_go_through_to_the_report(tmp_path, monkeypatch, capsys):
     with open(results / "budgets.csv", newline="") as file:
         assert all(float(row["simulated_s"]) == float(row["control_steps"]) / 20 for row in csv.DictReader(file))
     text = capsys.readouterr().out
-    assert "ablation halves, missing: uniform-penalty, unstuck_only-penalty, steady_only-penalty" in text
+    assert "ablation halves, missing runs: 2 of halves" in text
+    assert "ablation fixed_hold" not in text
     assert "missing" not in "".join(line for line in text.splitlines() if "ablation" not in line)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import pytest
 
 from tests.conftest import FAST, uarm_rl
-from uarm_rl import cli
+from uarm_rl import cli, configuration
 
 SHORT = ("episodes=1", "experiences_per_episode=20", "warmup_experiences=20", "time_limit_s=0.1", "simulate_beside=false")
 TINY = tuple({word.partition("=")[0]: word for word in (*FAST, *SHORT)}.values())
@@ -89,10 +90,20 @@ def test_the_example_that_is_offered_works(run, tmp_path):
     assert len(list((tmp_path / "results").glob("*/seed0/policy.safetensors"))) == 4
 
 
-def test_one_job_twice_is_refused(run, tmp_path):
-    code, said = run("train", "-m", "seed=0,0")
-    assert (code, "they are the same; leave all but one of them out" in said) == (2, True)
-    assert list(tmp_path.iterdir()) == []
+def test_one_job_twice_is_done_once(run, tmp_path):
+    assert run("train", "-m", "seed=0,0", *TINY) == (0, "")
+    assert [path.name for path in (tmp_path / "results").glob("*/seed*")] == ["seed0"]
+
+
+def test_studies_sweep_by_themselves_and_share_what_both_have(run, tmp_path):
+    words = ("experiment=reference,dwell,A", "dwell_s=0.3,0.4", "seed=0")
+    swept, jobs = cli.combinations(words)
+    assert swept == {"experiment", "buffer", "dwell_s"}
+    assert len(jobs) == 2 * 2 + 2 * 2 + 2
+    composed = [configuration.compose("train", job) for job in jobs]
+    assert {(job["buffer"]["name"], job["dwell_s"]) for job in composed} == set(product(("adaptive", "uniform"), (0.3, 0.4)))
+    assert run("train", "-m", "experiment=reference,halves", "buffer=uniform", *TINY) == (0, "")
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.glob("*/*/*")] == ["results/uniform-penalty/seed0"]
 
 
 def test_a_setting_that_is_given_twice_is_told(run, tmp_path):

@@ -75,7 +75,7 @@ def files(results: Path) -> dict[str, bytes]:
 def example(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     results = tmp_path_factory.mktemp("example")
     add_example(results)
-    return results, report(results)
+    return results, report(results, {})
 
 
 def test_table1_csv(example):
@@ -144,7 +144,7 @@ def test_learning_curves_csv(example):
 
 def test_smoothed_return_is_the_mean_of_the_last_twenty_episodes(tmp_path):
     add_run(tmp_path, "adaptive-plain", validation=("",) * 30)  # returns -10, -20, ..., -300
-    report(tmp_path)
+    report(tmp_path, {})
     with open(tmp_path / "learning_curves.csv", newline="") as file:
         last = list(csv.DictReader(file))[-1]
     assert float(last["smoothed_return_mean"]) == pytest.approx(-10 * (11 + 30) / 2)
@@ -175,14 +175,14 @@ def test_the_text_holds_the_table_what_is_missing_and_the_files(example):
 def test_paths_below_the_current_folder_are_printed_relative_to_it(tmp_path, monkeypatch):
     add_run(tmp_path / "results", "adaptive-plain", successes="11")
     monkeypatch.chdir(tmp_path)
-    assert "wrote results/table1.md" in report(tmp_path / "results").splitlines()
+    assert "wrote results/table1.md" in report(tmp_path / "results", {}).splitlines()
 
 
 def test_a_second_report_is_the_same_to_the_last_byte_and_leaves_nothing_else_behind(example):
     results, text = example
     first = files(results)
     assert set(first) == WRITTEN
-    assert report(results) == text
+    assert report(results, {}) == text
     assert files(results) == first
     assert not [path for path in results.iterdir() if path.name.startswith(".")]
 
@@ -191,14 +191,14 @@ def test_the_order_in_which_runs_were_made_does_not_matter(example, tmp_path):
     results, _ = example
     for name, seed, successes in [("fixed_hold-penalty", 1, "0101"), ("fixed_hold-penalty", 0, "1100")]:
         add_run(tmp_path, name, seed, successes=successes)
-    report(tmp_path)
+    report(tmp_path, {})
     assert (tmp_path / "table1.csv").read_text().splitlines()[-1] == (results / "table1.csv").read_text().splitlines()[-1]
 
 
 def test_a_results_folder_may_bring_its_own_paper_csv(tmp_path):
     add_run(tmp_path, "adaptive-plain", successes="10")
     (tmp_path / "paper.csv").write_text("method,success_rate\nA,0.5\n")
-    report(tmp_path)
+    report(tmp_path, {})
     rows = list(csv.DictReader((tmp_path / "table1.csv").read_text().splitlines()))
     assert [row["paper_success_rate"] for row in rows] == ["0.5", "", "", ""]
 
@@ -207,7 +207,7 @@ def test_a_training_without_a_finished_episode_is_no_error(tmp_path):
     add_run(tmp_path, "adaptive-plain", successes="10")
     run = add_run(tmp_path, "uniform-plain")
     (run / "progress.csv").write_text(PROGRESS + "\n")
-    assert "uniform-plain/seed0" in report(tmp_path)
+    assert "uniform-plain/seed0" in report(tmp_path, {})
 
 
 def test_folders_that_are_no_runs_are_left_alone(tmp_path):
@@ -216,7 +216,7 @@ def test_folders_that_are_no_runs_are_left_alone(tmp_path):
     (tmp_path / "adaptive-plain" / "seed0-copy").mkdir()
     (tmp_path / "adaptive-plain" / "seed0-copy" / "evaluation.csv").write_text("nonsense")
     (tmp_path / "adaptive-plain" / "seed7").mkdir()
-    report(tmp_path)
+    report(tmp_path, {})
     assert (tmp_path / "table1.csv").read_text().splitlines()[1].startswith("A,adaptive,plain,1,0.5,")
 
 
@@ -278,15 +278,15 @@ def test_a_bad_file_is_named_in_a_sentence_and_nothing_is_written(tmp_path, dama
     damage(tmp_path)
     before = files(tmp_path)
     with pytest.raises(ReportError, match=sentence):
-        report(tmp_path)
+        report(tmp_path, {})
     assert files(tmp_path) == before
 
 
 def test_a_folder_without_runs_says_what_to_do(tmp_path):
     with pytest.raises(ReportError, match="holds no run; make one with `uarm-rl train results_dir="):
-        report(tmp_path)
+        report(tmp_path, {})
     with pytest.raises(ReportError, match="nowhere is not a folder; name one with results_dir=PATH"):
-        report(tmp_path / "nowhere")
+        report(tmp_path / "nowhere", {})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -294,7 +294,7 @@ def test_a_report_that_cannot_be_written_is_a_sentence_and_leaves_no_temporary_f
     add_run(tmp_path, "adaptive-plain", successes="10")
     (tmp_path / "table1.csv").mkdir()
     with pytest.raises(ReportError, match="cannot take the report"):
-        report(tmp_path)
+        report(tmp_path, {})
     assert {path.name for path in tmp_path.iterdir()} == {"adaptive-plain", "table1.csv"}
 
 
@@ -303,7 +303,7 @@ def test_the_report_needs_neither_simulator_nor_learner_nor_hydra(tmp_path):
     program = (
         "import sys, pathlib, uarm_rl.report.report\n"
         "assert 'matplotlib' not in sys.modules\n"
-        f"uarm_rl.report.report.report(pathlib.Path({str(tmp_path)!r}))\n"
+        f"uarm_rl.report.report.report(pathlib.Path({str(tmp_path)!r}), {{}})\n"
         "print(sorted({'torch', 'pybullet', 'gymnasium', 'hydra', 'omegaconf', 'matplotlib.pyplot'} & set(sys.modules)))\n"
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import re
 from pathlib import Path
 
 import numpy as np
@@ -12,55 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.report.runs import NAMES, add_ablations, add_evaluation, add_progress, lines, remarks, write
+from uarm_rl.configuration import compose
 from uarm_rl.report import statistics
 from uarm_rl.report.comparisons import comparisons
 from uarm_rl.report.records import METHODS, ReportError
 from uarm_rl.report.report import report
-
-CONDITIONS = {"tolerance_m": "0.005", "hold": "fixed(1)", "control_hz": "20", "servo_rise_s": "0.327", "sigma": "-5"}
-NAMES = {"A": "adaptive-plain", "B": "uniform-plain", "C": "adaptive-penalty", "D": "uniform-penalty"}
-
-
-def write(path: Path, rows: list[dict[str, object]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def add_evaluation(
-    results: Path, name: str, seed: int, successes: str, file: str = "evaluation.csv", moved_m: float = 0.001, **conditions: str
-) -> None:
-    """An evaluation with one position for each digit of ``successes``; ``old=""`` leaves the conditions out."""
-    known = {} if "old" in conditions else CONDITIONS | conditions
-    measured = {"time_s": 2, "object_displacement_m": moved_m, "reversals_per_s": 0.25, "rms_jerk": 12.5}
-    rows = [
-        {"position": position, "success": success, "return": -1 - seed, "common_return": -2.5, **measured}
-        | {"tip_travel_last_s_m": 0.0125, **known}
-        for position, success in enumerate(successes)
-    ]
-    write(results / NAMES.get(name, name) / f"seed{seed}" / file, rows)
-
-
-def add_progress(results: Path, name: str, seed: int, *rates: str, steps_per_decision: int = 1, missing: int = 0) -> None:
-    """A log with one episode of 200 experiences, but for ``missing``, for each validation success rate, empty for none."""
-    rows = [
-        {"episode": episode, "experiences": 200 * episode - missing, "control_steps": 400 * steps_per_decision * episode}
-        | {"updates": 200 * episode - 100, "decisions": 400 * episode, "episode_return": -episode}
-        | {"validation_success_rate": rate, "successes": 1, "object_losses": 0, "object_moved_m": 0.003}
-        for episode, rate in enumerate(rates, start=1)
-    ]
-    write(results / NAMES.get(name, name) / f"seed{seed}" / "progress.csv", rows)
-
-
-def lines(results: Path, name: str) -> list[str]:
-    return (results / name).read_text().splitlines()
-
-
-def remarks(text: str, start: str) -> list[str]:
-    return [line for line in text.splitlines() if line.startswith(start)]
-
 
 # Comparisons
 
@@ -70,7 +26,7 @@ def test_two_methods_are_compared_seed_by_seed_and_over_seeds(tmp_path):
         add_evaluation(tmp_path, "A", seed, "11111111")
         add_evaluation(tmp_path, "B", seed, "00000000" if seed else "00000011")
     add_evaluation(tmp_path, "B", 2, "00000000")
-    text = report(tmp_path)
+    text = report(tmp_path, {})
     low = statistics.bootstrap_interval([np.ones((2, 8)), [[0] * 6 + [1] * 2, [0] * 8, [0] * 8]], [1, -1], bootstrap())[0]
     assert lines(tmp_path, "comparisons.csv") == [
         "comparison,seed,seeds,difference,ci_low,ci_high,first_only,second_only,p_value",
@@ -91,7 +47,7 @@ def test_the_two_by_two_in_words(tmp_path):
     for seed in range(3):
         for name, successes in zip("ABCD", ("1111", "0111", "1111", "0000"), strict=True):
             add_evaluation(tmp_path, name, seed, successes)
-    text = report(tmp_path)
+    text = report(tmp_path, {})
     table = lines(tmp_path, "comparisons.md")
     assert table[:2] == [
         "| Comparison | Seeds | Difference (points of success) | 95 % interval |",
@@ -118,7 +74,7 @@ def test_the_two_by_two_in_words(tmp_path):
 def test_one_seed_says_nothing_about_training_again(tmp_path):
     for name in "AB":
         add_evaluation(tmp_path, name, 0, "10")
-    report(tmp_path)
+    report(tmp_path, {})
     assert "With one seed the intervals cover the positions alone" in "\n".join(lines(tmp_path, "comparisons.md"))
 
 
@@ -165,7 +121,7 @@ def test_tolerance_curve(tmp_path):
     add_evaluation(tmp_path, "A", 0, "0000", "tolerance-1mm.csv", tolerance_m="0.001")
     add_evaluation(tmp_path, "B", 0, "1000", old="")
     add_evaluation(tmp_path, "B", 0, "1100", "tolerance-10mm.csv", tolerance_m="0.01")
-    text = report(tmp_path)
+    text = report(tmp_path, {})
 
     def interval(successes: int) -> str:
         return "{:.6g},{:.6g}".format(*statistics.wilson_interval(successes, 4))
@@ -190,7 +146,7 @@ def test_held_out_positions_beside_the_test_positions(tmp_path):
     add_evaluation(tmp_path, "B", 0, "10")
     add_evaluation(tmp_path, "IK", 0, "11")
     add_evaluation(tmp_path, "IK", 0, "1110", "heldout.csv")
-    text = report(tmp_path)
+    text = report(tmp_path, {})
     test, held_out = statistics.wilson_interval(2, 2), statistics.wilson_interval(3, 4)
     assert lines(tmp_path, "heldout.csv") == [
         "method,positions,count,seeds,success_rate,ci_low,ci_high,return,common_return",
@@ -216,7 +172,7 @@ def test_train_hold_by_test_hold(tmp_path):
         add_evaluation(tmp_path, name, 0, "1100", "hold-fixed.csv", hold="fixed(11)")
         add_evaluation(tmp_path, name, 0, "1110", "hold-one_step.csv", hold="fixed(1)")
     add_evaluation(tmp_path, "A", 0, "1111", "hold-until_steady.csv", hold="until_steady(2..40)")
-    report(tmp_path)
+    report(tmp_path, {})
     half, three, four = "50 % (15 to 85 %)", "75 % (30.1 to 95.4 %)", "100 % (51 to 100 %)"
     assert lines(tmp_path, "holds.md")[0] == (
         "| Method | Trained with | Tested with one step | Tested with 11 steps | Tested with until steady |"
@@ -240,12 +196,12 @@ def test_a_bad_further_evaluation_is_named(tmp_path):
     with pytest.raises(
         ReportError, match=r"hold-fixed\.csv, line 3: success is '2' .* evaluate again, with out=hold-fixed\.csv"
     ):
-        report(tmp_path)
+        report(tmp_path, {})
     add_evaluation(tmp_path, "A", 0, "11", "hold-fixed.csv")
     add_evaluation(tmp_path, "B", 0, "11")
     add_evaluation(tmp_path, "B", 0, "111", "hold-fixed.csv")
     with pytest.raises(ReportError, match=r"hold-fixed|different positions; delete one"):
-        report(tmp_path)
+        report(tmp_path, {})
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == []
 
 
@@ -267,20 +223,20 @@ def test_shaking_is_drawn_from_the_lowest_seeds_that_recorded_it(tmp_path):
     for name in "AB":
         for seed in (2, 10):
             add_evaluation(tmp_path, name, seed, "11")
-    assert remarks(report(tmp_path), "no shaking.png")[0].endswith(
+    assert remarks(report(tmp_path, {}), "no shaking.png")[0].endswith(
         f"`uarm-rl evaluate traces=3 results_dir={tmp_path}` records it"
     )
     add_traces(tmp_path, "A", 2, 0, 1)
     add_traces(tmp_path, "A", 10, 0, 1)
     assert not (tmp_path / "shaking.png").exists()  # B is still missing
     add_traces(tmp_path, "B", 10, 1)
-    report(tmp_path)
+    report(tmp_path, {})
     first = (tmp_path / "shaking.png").read_bytes()
     add_traces(tmp_path, "A", 10, 1)  # another seed than the lowest: no matter
-    report(tmp_path)
+    report(tmp_path, {})
     assert (tmp_path / "shaking.png").read_bytes() == first
     add_traces(tmp_path, "B", 2, 1)
-    report(tmp_path)
+    report(tmp_path, {})
     assert (tmp_path / "shaking.png").read_bytes() != first
 
 
@@ -288,7 +244,7 @@ def test_shaking_is_shown_where_the_uniform_method_takes_longest(tmp_path):
     def drawn(*positions: int) -> bytes:
         for name in "AB":
             add_traces(tmp_path, name, 0, *positions)
-        report(tmp_path)
+        report(tmp_path, {})
         return (tmp_path / "shaking.png").read_bytes()
 
     for name in "AB":
@@ -306,7 +262,7 @@ def test_budgets_and_steps_to_95(tmp_path):
     add_progress(tmp_path, "B", 0, "", "0.5")
     for name, seed in (("A", 0), ("A", 1), ("B", 0)):
         add_evaluation(tmp_path, name, seed, "11")
-    text = report(tmp_path)
+    text = report(tmp_path, {})
     assert lines(tmp_path, "budgets.csv") == [
         "method,episode,seeds,experiences,updates,decisions,control_steps,simulated_s,"
         "validation_success_rate_mean,validation_success_rate_min,validation_success_rate_max",
@@ -331,118 +287,8 @@ def test_budgets_stay_control_steps_where_nobody_tells_their_rate(tmp_path):
     add_progress(tmp_path, "B", 0, "0.5")
     add_evaluation(tmp_path, "A", 0, "11")
     add_evaluation(tmp_path, "B", 0, "11", old="")
-    assert len(remarks(report(tmp_path), "budgets in control steps, not seconds")) == 1
+    assert len(remarks(report(tmp_path, {}), "budgets in control steps, not seconds")) == 1
     assert [line.split(",")[6:8] for line in lines(tmp_path, "budgets.csv")[1:]] == [["400", "20"], ["400", ""]]
-
-
-# Ablations
-
-
-def add_ablations(results: Path) -> None:
-    steady = {"hold": "until_steady(2..40)"}
-    runs = {
-        "uniform-penalty": ("0001", {}),
-        "unstuck_only-penalty": ("0011", {}),
-        "steady_only-penalty": ("0111", steady),
-        "adaptive-penalty": ("1111", steady),
-        "fixed_hold-penalty": ("1101", {"hold": "fixed(11)"}),
-        "servo-10-uniform-penalty": ("0111", {"servo_rise_s": "0.163"}),
-        "servo-10-adaptive-penalty": ("1111", {"servo_rise_s": "0.163"}),
-        "long-servo-10-uniform-penalty": ("1111", {"servo_rise_s": "0.163"}),
-        "instant-uniform-penalty": ("1111", {"servo_rise_s": "0.039"}),
-        "instant-adaptive-penalty": ("1111", {"servo_rise_s": "0.039"}),
-        "adaptive-plain": ("1111", {"sigma": "0"}),
-        "sigma-20-adaptive": ("1110", {"sigma": "-20", "moved_m": 0.0005}),
-        "dwell0.25-uniform": ("0011", {}),
-        "dwell0.25-adaptive": ("1111", {}),
-        "gamma0.99-uniform": ("1011", {}),
-    }
-    for name, (successes, conditions) in runs.items():
-        add_evaluation(results / "ablations", name, 0, successes, **conditions)
-        steps = 11 if "uniform" not in name else 1
-        add_progress(results / "ablations", name, 0, "0.5", "0.75", steps_per_decision=steps)
-
-
-def test_ablations_answer_each_question(tmp_path):
-    add_ablations(tmp_path)
-    text = report(tmp_path)  # no run of the paper is needed
-    folder = tmp_path / "ablations"
-    with open(folder / "ablations.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == [
-        *("question", "run", "buffer", "seeds", "success_rate", "ci_low", "ci_high"),
-        *("object_displacement_m", "object_displacement_low", "object_displacement_high"),
-        *("training_displacement_m", "control_steps_per_decision", "servo_rise_s", "sigma", "setting"),
-    ]
-
-    def of(question: str, column: str) -> list[str]:
-        return [row[column] for row in rows if row["question"] == question]
-
-    assert of("halves", "buffer") == ["uniform", "unstuck_only", "steady_only", "adaptive"]
-    assert of("halves", "success_rate") == ["0.25", "0.5", "0.75", "1"]
-    assert of("fixed_hold", "buffer") == ["uniform", "fixed_hold", "adaptive"]
-    assert of("fixed_hold", "control_steps_per_decision") == ["1", "11", "11"]
-    assert of("servo", "servo_rise_s") == ["0.039", "0.039", "0.163", "0.163", "0.163", "0.327", "0.327"]
-    both = ["adaptive", "uniform"]
-    assert of("servo", "buffer") == [*both, *both, "uniform, 2 episodes", *both]
-    assert of("sigma", "sigma") == ["0", "-5", "-20"]
-    assert of("sigma", "training_displacement_m") == ["0.0015"] * 3  # 3 mm in each of two episodes, of four objects
-    assert of("constants", "setting") == ["default", "default", "gamma 0.99", "dwell 0.25 s", "dwell 0.25 s"]
-    assert set(of("servo", "setting") + of("sigma", "setting")) == {""}
-    assert of("constants", "success_rate") == ["0.25", "1", "0.75", "1", "0.5"]
-    assert of("sigma", "object_displacement_m") == ["0.001", "0.001", "0.0005"]
-    markdown = (folder / "ablations.md").read_text()
-    assert [line for line in markdown.splitlines() if line.startswith("| sigma-20")] == [
-        "| sigma-20-adaptive | 1 | 75 % (30.1 to 95.4 %) | -20 | 11 | 0.5 | 1.5 |"
-    ]
-    assert "| dwell0.25-uniform | 1 | 50 % (15 to 85 %) | dwell 0.25 s | 1 | 1.0 | 1.5 |" in markdown.splitlines()
-    pictures = ["halves", "fixed_hold", "servo", "sigma", "constants"]
-    assert re.findall(r"!\[.*\]\((.*)\)", markdown) == [f"{picture}.png" for picture in pictures]
-    for picture in pictures:
-        assert (folder / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
-    assert ["tolerance*, damping*, beta*, threshold*" in remark for remark in remarks(text, "ablation ")] == [True]
-    assert "not trained: A (adaptive-plain)" in text
-
-
-def test_the_choice_of_constants_sees_validation_positions_of_both_methods_alone(tmp_path):
-    ends = {"uniform-penalty": 0.1, "adaptive-penalty": 0.9, "beta1-uniform": 0.3, "beta1-adaptive": 0.8, "beta3-uniform": 0.6}
-    for name, end in ends.items():
-        for seed in (0, 1):
-            shift = 0.0 if "adaptive" in name else 0.04 * seed
-            rates = ["1", *(f"{end + shift + spread:g}" for spread in (-0.05, 0.05, 0.0))]
-            add_evaluation(tmp_path / "ablations", name, seed, "0000")
-            add_progress(tmp_path / "ablations", name, seed, *rates)
-    report(tmp_path)
-    assert lines(tmp_path, "ablations/choice.csv") == [
-        "setting,seeds,adaptive,uniform,score,standard_error",
-        "default,2,0.9,0.12,0.51,0.01",
-        "beta 1,2,0.8,0.32,0.56,0.01",
-    ]
-    assert "| beta 1 | 2 | 80 % | 32 % | 56 % | 1 % |" in (tmp_path / "ablations" / "choice.md").read_text()
-
-
-def test_the_curve_of_an_ablation_is_one_even_when_a_seed_has_stored_less(tmp_path):
-    for seed, missing in ((0, 0), (1, 20)):
-        add_evaluation(tmp_path / "ablations", "adaptive-penalty", seed, "11")
-        add_progress(tmp_path / "ablations", "adaptive-penalty", seed, "0.2", "", f"0.{6 + 2 * seed}", missing=missing)
-    report(tmp_path)
-    assert lines(tmp_path, "ablations/learning_curves.csv")[1:] == [
-        "adaptive-penalty,1,2,190,0.2,0.2,0.2",
-        "adaptive-penalty,3,2,590,0.7,0.6,0.8",
-    ]
-
-
-def test_ablations_say_what_is_missing_and_the_command_for_it(tmp_path):
-    add_evaluation(tmp_path, "A", 0, "11")
-    assert "ablation " not in report(tmp_path)
-    add_evaluation(tmp_path / "ablations", "adaptive-penalty", 0, "11")
-    add_progress(tmp_path / "ablations", "fixed_hold-penalty", 0, "0.5")
-    add_progress(tmp_path / "ablations", "uniform-penalty", 0, "0.5")
-    said = {line.split(",")[0]: line for line in remarks(report(tmp_path), "ablation ")}
-    absent = "uniform-penalty, unstuck_only-penalty, steady_only-penalty"
-    assert f"missing: {absent}; train them into {tmp_path / 'ablations'} first" in said["ablation halves"]
-    assert "missing: uniform-penalty, fixed_hold-penalty; `uarm-rl evaluate results_dir" in said["ablation fixed_hold"]
-    assert "missing: adaptive-plain, sigma*; train them" in said["ablation sigma"]
 
 
 def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
@@ -455,9 +301,9 @@ def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
             add_progress(tmp_path, name, seed, "0.5", "0.96")
             add_traces(tmp_path, name, seed, 0)
     add_ablations(tmp_path)
-    text = report(tmp_path)
+    text = report(tmp_path, compose("train"))
     first = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    assert report(tmp_path) == text
+    assert report(tmp_path, compose("train")) == text
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == first
     written = {str(path.relative_to(tmp_path)) for path in first if "seed" not in str(path.relative_to(tmp_path))}
     assert len(written) == 21 + 10
@@ -470,7 +316,7 @@ def test_trials_on_an_arm_stand_beside_the_papers_and_an_emulated_arm_is_never_c
     real = tmp_path / "short" / "real_arm" / "seed0" / "real"
     write(real / "trials.csv", [{"success": int(n > 1), "reached": 1, "emulated": 1, "reason": ""} for n in range(20)])
     write(tmp_path / "real_arm" / "seed1" / "real-desk" / "trials.csv", [{"success": 1, "reached": 1, "emulated": 0}] * 4)
-    report(tmp_path)
+    report(tmp_path, {})
     low, high = statistics.wilson_interval(18, 20)
     assert lines(tmp_path, "arm_trials.csv") == [
         "trials_of,arm,trials,success_rate,ci_low,ci_high,reached_rate",
@@ -482,4 +328,4 @@ def test_trials_on_an_arm_stand_beside_the_papers_and_an_emulated_arm_is_never_c
     write(real / "trials.csv", [{"success": 2, "reached": 1, "emulated": 1}])
     sentence = "line 2: success is '2' and must be 0 or 1; delete it, or restore it"
     with pytest.raises(ReportError, match=sentence):
-        report(tmp_path)
+        report(tmp_path, {})

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from uarm_rl.configuration import compose
 from uarm_rl.report.report import report
 
 ROOT = Path(__file__).parents[2]
@@ -29,7 +30,7 @@ def test_the_report_is_rebuilt_from_the_committed_runs(results, tmp_path):
     shutil.copytree(results, rebuilt, ignore=shutil.ignore_patterns("*.safetensors", "*.png", "checkpoint-*"))
     for name in made:
         (rebuilt / name).unlink()
-    report(rebuilt)
+    report(rebuilt, compose("train"))
     assert {"table1.csv", "table1.md"} <= set(made)
     assert written(rebuilt) == committed
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from uarm_rl import checks
-from uarm_rl.configuration import Settings
+from uarm_rl.configuration import Settings, compose
 from uarm_rl.report.report import report
 
 
 def run(settings: Settings) -> None:
     """Rebuild table and figures."""
-    print(report(output(settings)))
+    print(report(output(settings), compose("train")))
 
 
 def output(settings: Settings) -> Path:

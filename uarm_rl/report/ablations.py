@@ -3,53 +3,48 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from fnmatch import fnmatch
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
 from uarm_rl.report import figures, statistics, tables
-from uarm_rl.report.records import DISTURBANCE, PROGRESS, Runs, command, find_runs, read_evaluations, read_seeds
+from uarm_rl.report.records import DISTURBANCE, PROGRESS, Runs, command, find_runs, read_config, read_evaluations, read_seeds
 from uarm_rl.report.tables import Section
+from uarm_rl.studies import Point, Sweep, belongs, point, studies
 
 ABLATIONS: Final = "ablations"  # below the results folder
 
 
-class _Question(NamedTuple):
-    """``runs`` are names or patterns of names, in the order of the table.
+class Question(NamedTuple):
+    """``studies`` are those that answer it, in the order of the table.
 
     ``swept`` is the column that a sweep varies; its table and figure go by it.
     """
 
     title: str
-    runs: tuple[str, ...]
+    studies: tuple[str, ...]
     swept: str | None = None
 
 
-_QUESTIONS: Final = {
-    "halves": _Question(
-        "Waiting until steady, or leaving out stuck transitions: which half of the adaptive buffer does it?",
-        ("uniform-penalty", "unstuck_only-penalty", "steady_only-penalty", "adaptive-penalty"),
+#: What is asked, and the studies that answer it.
+QUESTIONS: Final = {
+    "halves": Question(
+        "Waiting until steady, or leaving out stuck transitions: which half of the adaptive buffer does it?", ("halves",)
     ),
-    "fixed_hold": _Question(
-        "Is it the adaptivity, or just a longer hold?",
-        ("uniform-penalty", "fixed_hold-penalty", "adaptive-penalty"),
-    ),
-    "servo": _Question(
+    "fixed_hold": Question("Is it the adaptivity, or just a longer hold?", ("fixed_hold",)),
+    "servo": Question(
         "From which response time of the servo on does waiting win?",
-        ("instant-*-penalty", "servo*-penalty", "uniform-penalty", "adaptive-penalty", "long-servo*-penalty"),
+        ("reference", "instant", "servo", "long_servo"),
         "servo_rise_s",
     ),
-    "sigma": _Question(
-        "How hard must moving the object be punished, and what does it cost?",
-        ("adaptive-plain", "sigma*", "adaptive-penalty"),
-        "sigma",
-    ),
-    "constants": _Question(
+    "sigma": Question("How hard must moving the object be punished, and what does it cost?", ("sigma",), "sigma"),
+    "constants": Question(
         "Does what was found hang on the constants that were chosen?",
-        ("uniform-penalty", "adaptive-penalty", "gamma*", "tolerance*", "dwell*", "damping*", "beta*", "threshold*"),
+        ("reference", "gamma", "tolerance", "dwell", "damping", "beta", "threshold"),
         "setting",
     ),
 }
@@ -62,7 +57,7 @@ _HEADINGS: Final = {
     "object_displacement_m": "Object moved (mm)",
     "training_displacement_m": "Moved while learning (mm per object)",
 }
-_UNITS: Final = {"dwell": "s", "threshold": "rad"}
+_UNITS: Final = {"m": (1000.0, " mm"), "s": (1.0, " s"), "rad": (1.0, " rad")}
 _DISPLACEMENT: Final = "object_displacement_m"
 _TRAINING_DISPLACEMENT: Final = "training_displacement_m"
 _RATE: Final = "validation_success_rate"
@@ -70,24 +65,34 @@ _BOTH: Final = ("adaptive", "uniform")
 _LAST_VALIDATIONS: Final = 3  # their mean is the end of a run: one validation has 50 positions
 
 
-def ablations(results_dir: Path) -> Section:
-    """ablations.csv and .md, learning_curves.csv and a picture for each question, all in ``results_dir/ablations``."""
+def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
+    """ablations.csv and .md, learning_curves.csv and a picture for each question, all in ``results_dir/ablations``.
+
+    ``usual`` is the configuration that a study changes in the settings that it varies.
+    """
     folder = results_dir / ABLATIONS
     if not folder.is_dir():
         return Section()
-    runs = find_runs(folder)
+    runs, points = _told_apart(find_runs(folder))
     evaluations = read_evaluations(runs)
     columns = {**PROGRESS, **DISTURBANCE}
     progress = {name: read_seeds(folders, "progress.csv", columns) for name, folders in runs.items()}
     curves = {run: _curve(rows) for run, rows in progress.items()}
     section = Section()
     found: dict[str, pd.DataFrame] = {}
-    for name, question in _QUESTIONS.items():
-        chosen = [run for wanted in question.runs for run in runs if fnmatch(run, wanted) and len(evaluations[run])]
-        section.remarks += _missing(folder, name, question, chosen, runs)
+    for name, question in QUESTIONS.items():
+        members = _members(question, points, point(usual))
+        chosen = {run: study for run, study in members.items() if len(evaluations[run])}
+        section.remarks += _missing(folder, name, question, points, members, chosen)
         if chosen:
-            rows = [_row(run, evaluations[run], progress[run]) for run in chosen]
-            found[name] = _ordered(pd.DataFrame(rows), question.swept)
+            shortest = min(progress[run]["episode"].max() for run in chosen)
+            rows = [_row(run, points[run]["buffer"], evaluations[run], progress[run], shortest) for run in chosen]
+            table = pd.DataFrame(rows)
+            if question.swept == "setting":
+                table["setting"] = [_setting(study, points[run]) for run, study in chosen.items()]
+            elif question.swept:
+                table = table.sort_values([question.swept, "buffer"], ascending=question.swept != "sigma", kind="stable")
+            found[name] = table
             section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question.swept, found[name], curves)
     if "constants" in found and len(choice := _choice(found["constants"], progress)):
         section.contents[f"{ABLATIONS}/choice.csv"] = tables.csv(choice)
@@ -101,24 +106,62 @@ def ablations(results_dir: Path) -> Section:
     return section
 
 
+def _told_apart(folders: Runs) -> tuple[dict[str, Sequence[Path]], dict[str, Point]]:
+    """The runs by the names in their configurations, and what tells them apart; folders may have been renamed."""
+    settings = {folder: read_config(seeds[0]) for folder, seeds in folders.items()}
+    names = {folder: str(one.get("name")) for folder, one in settings.items()}
+    plain = len(set(names.values())) == len(names) and all(re.fullmatch(r"\w[\w.,+ -]*", name) for name in names.values())
+    called = {names[folder] if plain else folder: folder for folder in folders}
+    return (
+        {name: folders[called[name]] for name in sorted(called)},
+        {name: point(settings[folder]) for name, folder in called.items()},
+    )
+
+
+def _members(question: Question, points: Mapping[str, Point], usual: Point) -> dict[str, str]:
+    """The runs of a question in the order of its table, each with the first study that it belongs to."""
+    found: dict[str, str] = {}
+    for study in question.studies:
+        sweep = studies()[study]
+        runs = [run for run, one in points.items() if "buffer" in one and belongs(one, sweep, usual)]
+        for run in sorted(runs, key=lambda run: [_rank(points[run].get(key), sweep[key]) for key in sweep]):
+            found.setdefault(run, study)
+    return found
+
+
+def _rank(value: float | str | None, values: Sequence[Any]) -> float:
+    """A number goes by its size, a choice by its place in the study."""
+    return values.index(value) if isinstance(value, str) else -math.inf if value is None else value
+
+
+def _setting(study: str, run: Point) -> str:
+    """The constant that a run's study changed, with its unit: ``dwell 0.25 s``."""
+    if study == "reference":
+        return "default"
+    key, value = next((key, run[key]) for key in studies()[study] if isinstance(run.get(key), (int, float)))
+    factor, unit = _UNITS.get(key.rpartition("_")[2], (1.0, ""))
+    return f"{study} {factor * value:g}{unit}"
+
+
 def _curve(progress: pd.DataFrame) -> pd.DataFrame:
     """Validation success over seeds, episode by episode: seeds that were cut short have stored a few experiences less."""
     validated = progress.dropna(subset=[_RATE])
     return tables.over_seeds(validated, "episode", [_RATE], experiences=("experiences", "mean"))
 
 
-def _row(run: str, evaluation: pd.DataFrame, progress: pd.DataFrame) -> dict[str, Any]:
-    """What is known of one name's runs: success, what the object suffered, and under which conditions."""
+def _row(run: str, buffer: str, evaluation: pd.DataFrame, progress: pd.DataFrame, shortest: float) -> dict[str, Any]:
+    """What is known of one name's runs: success, what the object suffered, and under which conditions.
+
+    Runs of more episodes than the ``shortest`` of the table are told as such.
+    """
     moved = tables.outcomes(evaluation, _DISPLACEMENT)
     low, high = statistics.bootstrap_interval([moved], [1.0], tables.generator(), resamples=tables.resamples(evaluation))
     last, sums = progress.groupby("seed").last(), progress.groupby("seed")[[*DISTURBANCE]].sum()
-    buffer = "uniform" if "uniform" in run else "adaptive" if "adaptive" in run else run.partition("-")[0]
-    if run.startswith("long-"):
-        buffer += f", {last['episode'].max():g} episodes"
+    episodes = last["episode"].max()
     objects = last["episode"] + sums["successes"] + sums["object_losses"]
     return {
         "run": run,
-        "buffer": buffer,
+        "buffer": f"{buffer}, {episodes:g} episodes" if episodes > shortest else buffer,
         **tables.success(evaluation),
         _DISPLACEMENT: moved.mean(),
         "object_displacement_low": low,
@@ -170,26 +213,6 @@ def _choice_markdown(choice: pd.DataFrame) -> str:
     return f"{tables.markdown(headings, cells)}\n{words}\n"
 
 
-def _ordered(table: pd.DataFrame, swept: str | None) -> pd.DataFrame:
-    """Sweeps from instant to slow and from no punishment to much, the others in the order of the question."""
-    ordered = table
-    if swept == "setting":
-        names = table["run"].str.rpartition("-")[0].str.replace(r"(?<=[a-z])(?=\d)", " ", regex=True)
-        changed = names.map(_worded).mask(table["run"].str.endswith("-penalty"), "default")
-        ordered = table.assign(setting=changed)
-    elif swept:
-        ordered = table.sort_values([swept, "buffer"], ascending=swept != "sigma", kind="stable")
-    return ordered
-
-
-def _worded(setting: str) -> str:
-    """A changed constant with its unit, from the run's name: ``dwell 0.25`` is ``dwell 0.25 s``."""
-    name, _, value = setting.partition(" ")
-    if name == "tolerance":
-        return f"tolerance {1000.0 * float(value):g} mm"
-    return f"{setting} {_UNITS[name]}" if name in _UNITS else setting
-
-
 def _picture(swept: str | None, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> bytes:
     if swept == "servo_rise_s":
         return figures.picture(lambda figure: figures.draw_servo_sweep(figure, table), 2.6)
@@ -200,27 +223,38 @@ def _picture(swept: str | None, table: pd.DataFrame, curves: Mapping[str, pd.Dat
     return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE))
 
 
-def _missing(folder: Path, name: str, question: _Question, chosen: Sequence[str], runs: Runs) -> list[str]:
+def _missing(
+    folder: Path, name: str, question: Question, points: Mapping[str, Point], trained: Iterable[str], tested: Iterable[str]
+) -> list[str]:
     """A remark on the runs of a question that are not there or not evaluated, and the command for them."""
-    absent = [wanted for wanted in question.runs if not any(fnmatch(run, wanted) for run in chosen)]
-    if not absent:
+    absent = {study: _absent(studies()[study], [points[run] for run in tested]) for study in question.studies}
+    lacking = [study for study, count in absent.items() if count]
+    if not lacking:
         return []
-    trained = all(any(fnmatch(run, wanted) for run in runs) for wanted in absent)
-    remedy = f"{command(folder, 'evaluate')} tests them" if trained else f"train them into {folder} first"
-    return [f"ablation {name}, missing: {', '.join(absent)}; {remedy}"]
+    words = f"train -m resume=true experiment={','.join(lacking)}"
+    if not any(_absent(studies()[study], [points[run] for run in trained]) for study in lacking):
+        words = "evaluate"
+    runs = ", ".join(f"{absent[study]} of {study}" for study in lacking)
+    return [f"ablation {name}, missing runs: {runs}; {command(folder, words)} makes up for it"]
+
+
+def _absent(sweep: Sweep, runs: Sequence[Point]) -> int:
+    """How many of a study's points no run has."""
+    wanted = (dict(zip(sweep, values, strict=True)) for values in product(*sweep.values()))
+    return sum(not any(one.items() <= run.items() for run in runs) for one in wanted)
 
 
 def _markdown(found: Mapping[str, pd.DataFrame]) -> str:
     text = []
     for name, table in found.items():
-        swept = _QUESTIONS[name].swept
+        swept = QUESTIONS[name].swept
         further = [*([swept] if swept else []), "control_steps_per_decision", _DISPLACEMENT, _TRAINING_DISPLACEMENT]
         cells = [
             [row["run"], str(row["seeds"]), tables.success_text(row), *(_cell(column, row[column]) for column in further)]
             for row in tables.records(table)
         ]
         headings = ("Run", "Seeds", "Success (95 % interval)", *(_HEADINGS[column] for column in further))
-        text.append(f"## {_QUESTIONS[name].title}\n\n{tables.markdown(headings, cells)}\n![{name}]({name}.png)\n")
+        text.append(f"## {QUESTIONS[name].title}\n\n{tables.markdown(headings, cells)}\n![{name}]({name}.png)\n")
     return "\n".join(text)
 
 

@@ -117,12 +117,20 @@ def methods(runs: Runs) -> list[Method]:
 
 def _buffer_and_reward(folder: Path) -> tuple[str, str]:
     """The names of both in a run's configuration; empty where it does not tell."""
+    settings = read_config(folder)
+    buffer, reward = (
+        settings[group].get("name") if isinstance(settings.get(group), dict) else None for group in ("buffer", "reward")
+    )
+    return (buffer, reward) if isinstance(buffer, str) and isinstance(reward, str) else ("", "")
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """A run's configuration as it was written; empty where there is none that can be read."""
     try:
         settings = yaml.safe_load(files.read(folder / files.CONFIG, at_most=1 << 20))
-        buffer, reward = (settings[group]["name"] for group in ("buffer", "reward"))
-    except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError):
-        return "", ""
-    return (buffer, reward) if isinstance(buffer, str) and isinstance(reward, str) else ("", "")
+    except (OSError, yaml.YAMLError, ValueError, RecursionError):
+        return {}
+    return settings if isinstance(settings, dict) else {}
 
 
 def command(results_dir: Path, words: str) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from uarm_rl import files
 from uarm_rl.report import tables
@@ -18,12 +19,13 @@ from uarm_rl.report.table1 import table1
 from uarm_rl.report.tables import Section
 
 
-def report(results_dir: Path) -> str:
+def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
     """Rebuild the tables and pictures in ``results_dir`` from the CSV files below it; returns Table 1 to print.
 
     Reads ``<name>/seed<k>/progress.csv``, ``evaluation.csv`` and the other evaluations there, ``paper.csv`` (if absent,
     the packaged one), and the runs in ``ablations/``. Tables and pictures show every run that is there. Raises
-    :class:`ReportError`, with nothing written, if a file cannot be used.
+    :class:`ReportError`, with nothing written, if a file cannot be used. ``usual`` is the configuration that the studies
+    in ``ablations/`` change.
     """
     found = find_runs(results_dir)
     if not found and not (results_dir / ABLATIONS).is_dir():
@@ -43,7 +45,7 @@ def report(results_dir: Path) -> str:
         tolerance(results_dir, shown, runs, evaluations),
         held_out(results_dir, shown, runs, evaluations),
         holds(results_dir, shown, runs, evaluations),
-        ablations(results_dir),
+        ablations(results_dir, usual),
         arm_trials(results_dir),
     ]
     names = _write(results_dir, sections)
