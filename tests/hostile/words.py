@@ -13,6 +13,7 @@ UP = "../" * 20
 
 #: Hydra's own settings. Alone they never run anything unless many runs are asked for, so they are fed both ways.
 HYDRA = (
+    "hydra.sweep.dir=OUTSIDE",
     f"+hydra.callbacks.x._target_={PAYLOAD}.Callback",
     f"++hydra.callbacks={{x:{{_target_:{PAYLOAD}.Callback}}}}",
     f"hydra.callbacks={{x:{{_target_:{PAYLOAD}.Callback}}}}",
@@ -26,7 +27,6 @@ HYDRA = (
     f"hydra.job_logging={{version:1,handlers:{{h:{{'()':{PAYLOAD}.run}}}},root:{{handlers:[h]}}}}",
     "hydra.hydra_logging={version:1,handlers:{h:{class:logging.FileHandler,filename:CANARY}},root:{handlers:[h]}}",
     "hydra.searchpath=[file://OUTSIDE]",
-    "hydra.sweep.dir=OUTSIDE",
     "hydra.sweep.subdir=../../../outside",
     "hydra.output_subdir=../../outside",
     "hydra.job.env_set.LD_PRELOAD=OUTSIDE/evil.so",
