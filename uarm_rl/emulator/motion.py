@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
 from uarm_rl.real.gcode import ACCELERATION_DEG_S2, FEED_DEG_S
+from uarm_rl.sim.trapezoid import Trapezoid, trapezoid
 
 MotorAngles = tuple[float, float, float]
 
@@ -79,26 +80,10 @@ class KinematicJoints:
 
 
 class _Move(NamedTuple):
-    """From rest to rest along ``path`` (share of the way -> motor angles) with a trapezoidal speed."""
+    """Along ``path``: share of the way -> motor angles."""
 
     path: Callable[[float], MotorAngles]
-    begins_s: float
-    duration_s: float
-    ramp_s: float
-
-    def position(self, time_s: float) -> MotorAngles:
-        t, total, ramp = time_s - self.begins_s, self.duration_s, self.ramp_s
-        if t <= 0.0:
-            return self.path(0.0)
-        if t >= total:
-            return self.path(1.0)
-        if t < ramp:
-            travelled = 0.5 * t * t / ramp
-        elif t <= total - ramp:
-            travelled = t - 0.5 * ramp
-        else:
-            travelled = total - ramp - 0.5 * (total - t) ** 2 / ramp
-        return self.path(travelled / (total - ramp))
+    profile: Trapezoid
 
 
 class Motion:
@@ -144,12 +129,10 @@ class Motion:
     def _append(
         self, path: Callable[[float], MotorAngles], end: MotorAngles, distance: float, feed: float, acceleration: float
     ) -> None:
-        speed = min(FEED_DEG_S * feed, math.sqrt(distance * acceleration))
-        ramp_s = speed / acceleration
         begins_s = self._clock_s + DEAD_TIME_S
         if self._moves:
-            begins_s = max(begins_s, self._moves[-1].begins_s + self._moves[-1].duration_s)
-        self._moves.append(_Move(path, begins_s, distance / speed + ramp_s, ramp_s))
+            begins_s = max(begins_s, self._moves[-1].profile.ends_s)
+        self._moves.append(_Move(path, trapezoid(begins_s, distance, FEED_DEG_S * feed, acceleration)))
         self.planned = end
 
     def advance(self, dt_s: float) -> None:
@@ -158,10 +141,11 @@ class Motion:
         self._stalled_s -= stalled
         if not self.held:
             self._clock_s += dt_s - stalled
-        while self._moves and self._moves[0].begins_s + self._moves[0].duration_s <= self._clock_s:
+        while self._moves and self._moves[0].profile.ends_s <= self._clock_s:
             self.position = self._to_steps(self._moves.popleft().path(1.0))
         if self._moves:
-            self.position = self._to_steps(self._moves[0].position(self._clock_s))
+            path, profile = self._moves[0]
+            self.position = self._to_steps(path(profile.share(self._clock_s)))
 
     def stall(self, seconds: float) -> None:
         """Stand still for a moment in the middle of a move (the step buffer ran dry)."""

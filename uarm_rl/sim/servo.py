@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from uarm_rl import checks
+from uarm_rl.sim.trapezoid import Trapezoid, trapezoid
 from uarm_rl.task.arm import JointPositions
 
 RAD_PER_DEG = math.pi / 180.0
@@ -104,30 +105,21 @@ class Instant:
         return (r1 - q1) / left_s, (r2 - q2) / left_s, (r3 - q3) / left_s
 
 
+#: What F is worth, 4/3 deg/s, rounded as in the published runs.
+_FEED_DEG_S: Final = 1.333
+
+
 class _Move(NamedTuple):
-    """A straight line in joint space, from rest to rest, with a trapezoidal speed profile."""
+    """A straight line in joint space."""
 
     start: JointPositions
     end: JointPositions
-    begins_s: float
-    duration_s: float
-    ramp_s: float
+    profile: Trapezoid
 
     def position(self, time_s: float) -> JointPositions:
-        t = time_s - self.begins_s
-        if t <= 0.0:
-            return self.start
-        if t >= self.duration_s:
+        share = self.profile.share(time_s)
+        if share >= 1.0:
             return self.end
-        ramp, total = self.ramp_s, self.duration_s
-        area = total - ramp  # distance in units of the cruising speed
-        if t < ramp:
-            travelled = 0.5 * t * t / ramp
-        elif t <= total - ramp:
-            travelled = t - 0.5 * ramp
-        else:
-            travelled = area - 0.5 * (total - t) ** 2 / ramp
-        share = travelled / area
         (s1, s2, s3), (e1, e2, e3) = self.start, self.end
         return s1 + share * (e1 - s1), s2 + share * (e2 - s2), s3 + share * (e3 - s3)
 
@@ -145,7 +137,7 @@ class Stepper:
     _CAPACITY = 38
 
     def __init__(self, *, feed: float, acceleration_deg_s2: float, dead_time_s: float, queue: bool) -> None:
-        self._speed = 1.333 * checks.number("servo.feed", feed, low=0.0, high=250.0, open_low=True)
+        self._speed = _FEED_DEG_S * checks.number("servo.feed", feed, low=0.0, high=250.0, open_low=True)
         self._acceleration = checks.number("servo.acceleration_deg_s2", acceleration_deg_s2, low=0.0, open_low=True)
         self._dead_time_s = checks.number("servo.dead_time_s", dead_time_s, low=0.0, high=1.0)
         self._queues = checks.boolean("servo.queue", queue)
@@ -163,7 +155,7 @@ class Stepper:
             self._moves.clear()
             self._planned = joints
         elif self._moves:
-            begins_s = max(begins_s, self._moves[-1].begins_s + self._moves[-1].duration_s)
+            begins_s = max(begins_s, self._moves[-1].profile.ends_s)
         if len(self._moves) < self._CAPACITY:
             self._moves.append(self._plan(self._planned, reference, begins_s))
             self._planned = reference
@@ -173,18 +165,16 @@ class Stepper:
         motors = (d1, d2, d2 + d3)  # |dB|, |dL|, |dR|
         distance = math.hypot(*motors)
         if distance == 0.0:
-            return _Move(start, end, begins_s, 0.0, 0.0)
+            return _Move(start, end, Trapezoid(begins_s, 0.0, 0.0))
         acceleration = self._acceleration * distance / max(abs(d) for d in motors)
-        speed = min(self._speed, math.sqrt(distance * acceleration))
-        ramp_s = speed / acceleration
-        return _Move(start, end, begins_s, distance / speed + ramp_s, ramp_s)
+        return _Move(start, end, trapezoid(begins_s, distance, self._speed, acceleration))
 
     def velocity(self, joints: JointPositions, velocity: JointPositions, dt: float) -> JointPositions:
         self._now_s += dt
-        while self._moves and self._moves[0].begins_s + self._moves[0].duration_s <= self._now_s and len(self._moves) > 1:
+        while len(self._moves) > 1 and self._moves[0].profile.ends_s <= self._now_s:
             self._moves.popleft()
         p1, p2, p3 = self._moves[0].position(self._now_s) if self._moves else self._planned
-        if self._moves and self._moves[0].begins_s + self._moves[0].duration_s <= self._now_s:
+        if self._moves and self._moves[0].profile.ends_s <= self._now_s:
             self._moves.popleft()
         q1, q2, q3 = joints
         return (p1 - q1) / dt, (p2 - q2) / dt, (p3 - q3) / dt
