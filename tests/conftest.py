@@ -10,12 +10,17 @@ from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from uarm_rl import configuration
 from uarm_rl.sim.simulated_arm import SimulatedArm
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import PolicyCard
+
+#: The same examples every time: a suite that fails tomorrow without a change is no help.
+hypothesis.settings.register_profile("same", derandomize=True)
+hypothesis.settings.load_profile("same")
 
 #: A training of seconds: small networks, short episodes, short validation.
 FAST = (

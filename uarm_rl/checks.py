@@ -36,6 +36,14 @@ def integer(name: str, value: object, *, low: int, high: int | None = None) -> i
     return value
 
 
+def numbers(name: str, value: object, example: Sequence[float], what: str) -> list[float]:
+    """``value`` as a list if it is finite numbers, as many as the example has; :class:`ValueError` otherwise."""
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != len(example):
+        shown = str(list(example)).replace(" ", "")
+        raise ValueError(f"{name} must be {what}, as in {name}={shown}, got {_shown(value)}")
+    return [number(name, one) for one in value]
+
+
 def integers(name: str, value: object, *, low: int, high: int) -> list[int]:
     """``value`` as a list if it holds at least one whole number, all in [low, high]; :class:`ValueError` otherwise."""
     if not isinstance(value, Sequence) or isinstance(value, str) or not value:
@@ -45,9 +53,7 @@ def integers(name: str, value: object, *, low: int, high: int) -> list[int]:
 
 def position(name: str, value: object) -> tuple[float, float, float]:
     """``value`` as x, y and z if it is three finite numbers (m); :class:`ValueError` with a sentence otherwise."""
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
-        raise ValueError(f"{name} must be three numbers in metres, as in {name}=[0.25,0.1,0.03], got {_shown(value)}")
-    x, y, z = (number(name, one) for one in value)
+    x, y, z = numbers(name, value, (0.25, 0.1, 0.03), "three numbers in metres")
     return x, y, z
 
 

@@ -111,7 +111,8 @@ def test_an_unplugged_cable_in_the_middle_of_a_move_and_the_next_connection():
             work(arm)
         assert "M2231 V0" in bench.lines()[-3:]  # tried, in vain
         start = len(bench.port.written)
-        bench.port.firmware.replug()
+        bench.port.firmware.unplugged = False  # the cable is put back, which resets the controller
+        bench.port.firmware.reset()
         bench.connect().close()
         assert bench.lines(start)[0] == "M2231 V0"
         assert not bench.joints.sucking

@@ -264,6 +264,7 @@ def test_bad_values_are_refused_in_a_sentence(engine, override, sentence):
 
 
 def test_a_window_needs_a_screen(engine, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(ArmError, match=r"sim\.gui=true needs a screen"):
-        make_arm(engine, "sim.gui=true")
+    for display in ("", ":4711"):  # none, and one whose server is not there
+        monkeypatch.setenv("DISPLAY", display)
+        with pytest.raises(ArmError, match=r"sim\.gui=true needs a screen"):
+            make_arm(engine, "sim.gui=true")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,24 +40,23 @@ def limits(settings: Mapping[str, Any]) -> Limits:
     """The audit's limits from a configuration; :class:`ValueError` with a sentence for values that cannot be used."""
     pairs = {}
     for name in ("x_m", "y_m", "z_m"):
-        low_high = settings[name]
-        if not isinstance(low_high, Sequence) or len(low_high) != 2:
-            raise ValueError(f"limits.{name} must be two numbers in metres, [low, high], got {low_high!r}")
-        pairs[name] = tuple(low_high)
+        pairs[name] = tuple(
+            checks.numbers(f"limits.{name}", settings[name], (-0.1, 0.3), "two numbers in metres, low and high")
+        )
     return Limits(**(dict(settings) | pairs))
 
 
 def object_size(value: Any) -> tuple[float, float, float]:
     """Length, width and height (m) of the object; :class:`ValueError` with a sentence for anything else."""
-    length, width, height = _three("object_size_m", value)
-    for side in (length, width, height):
+    size_m = checks.position("object_size_m", value)
+    for side in size_m:
         checks.number("object_size_m", side, low=0.005, high=0.15)
-    return length, width, height
+    return size_m
 
 
 def target(value: Any, max_press_m: float, within: Limits) -> Vector:
     """A place that the user gives, shape (3,); :class:`UsageError` with a sentence if the arm cannot work there."""
-    place = np.array(_three("target", value))
+    place = np.array(checks.position("target", value))
     if reason := out_of_reach(place):
         raise UsageError(f"target={value}: {reason}; a target is three numbers in metres, e.g. --target 0.2 0 0.03")
     check_press(float(place[2]), max_press_m, within)
@@ -71,13 +70,6 @@ def check_press(height_m: float, max_press_m: float, within: Limits) -> None:
             f"an upper surface {1000.0 * height_m:g} mm above the table is too low to press it by {1000.0 * max_press_m:g} mm: "
             f"the cup stays {1000.0 * within.table_clearance_m:g} mm above it; lower max_press_m, or take a higher object"
         )
-
-
-def _three(name: str, value: Any) -> tuple[float, float, float]:
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
-        raise ValueError(f"{name} must be three numbers in metres, got {value!r}")
-    first, second, third = (checks.number(name, number) for number in value)
-    return first, second, third
 
 
 def feed(card: PolicyCard, wanted: float | None) -> float:

@@ -7,8 +7,6 @@ Examples:
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from uarm_rl import checks
 from uarm_rl.commands.arm_settings import ask
 from uarm_rl.configuration import Settings, build
@@ -18,7 +16,8 @@ from uarm_rl.real.vision.lens_fit import Board
 
 def run(settings: Settings) -> None:
     """Measure the camera's lens with pictures of a board, taken now or in a folder already."""
-    board, folder, out = Board(**settings["board"]), Path(settings["pictures"]), Path(settings["out"])
+    board = Board(**settings["board"])
+    folder, out = (checks.path(name, settings[name]) for name in ("pictures", "out"))
     count = checks.integer("count", settings["count"], low=1)
     with build("camera", settings["camera"]) as camera:
         if camera is not None:

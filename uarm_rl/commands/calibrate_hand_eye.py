@@ -8,9 +8,8 @@ Examples:
 from __future__ import annotations
 
 from contextlib import ExitStack
-from pathlib import Path
 
-from uarm_rl import signals
+from uarm_rl import checks, signals
 from uarm_rl.commands.arm_settings import ask, limits, open_camera
 from uarm_rl.configuration import Settings, build
 from uarm_rl.real import collecting, session
@@ -20,8 +19,9 @@ from uarm_rl.real.vision.hand_eye_fit import calibrate_hand_eye
 
 def run(settings: Settings) -> None:
     """Measure where the camera sits on the arm with touched marks, touched now or in a file already."""
-    detector, path, out = build("detector", settings["detector"]), Path(settings["observations"]), Path(settings["out"])
-    lens = Intrinsics.load(Path(settings["lens"]))
+    detector = build("detector", settings["detector"])
+    path, out, lens_file = (checks.path(name, settings[name]) for name in ("observations", "out", "lens"))
+    lens = Intrinsics.load(lens_file)
     arm_settings = {"limits": limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
     with ExitStack() as stack:
         camera = stack.enter_context(open_camera(settings))

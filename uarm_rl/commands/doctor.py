@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 
+from uarm_rl import checks
 from uarm_rl.checks import UsageError
 from uarm_rl.commands.arm_settings import check_policy, limits, load_policy, open_camera
 from uarm_rl.configuration import Settings
@@ -34,7 +34,7 @@ def run(settings: Settings) -> None:
 def _examine(settings: Settings) -> Iterator[Finding]:
     """Findings as they are made: ports, arm, camera, calibration, policy."""
     max_step_rad = limits(settings["limits"]).max_step_rad
-    calibration, policy = Path(settings["calibration"]), Path(settings["policy"])
+    calibration, policy = checks.path("calibration", settings["calibration"]), checks.path("policy", settings["policy"])
     yield from doctor.ports()
     name = None
     try:

@@ -102,6 +102,8 @@ def _trained_runs(results_dir: Path) -> list[Path]:
 
 
 def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out: Path) -> None:
+    if out.is_dir():
+        raise UsageError(f"{out} is a folder; name the file of the evaluation with out=FILE.csv")
     if not _is_due(settings, out):
         raise UsageError(f"{out} exists already; out=FILE writes elsewhere, overwrite=true replaces it")
     run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}

@@ -70,7 +70,7 @@ def run(settings: Settings) -> None:
     check_press(size_m[2], task.max_press_m, within)
     told = None if settings["target"] is None else target(settings["target"], task.max_press_m, within)
     arm_settings = {"limits": within, "feed": feed(card, settings["feed"]), "control_hz": card.control_hz}
-    folder = Path(settings["out"] or home / "real")
+    folder = home / "real" if settings["out"] is None else checks.path("out", settings["out"])
     rows = [] if dry_run else _begun(folder, settings)
     if len(rows) >= trials:
         print(f"{_summary(rows)}; {folder}")
@@ -139,7 +139,7 @@ def _policy_for_the_arm(settings: Settings) -> tuple[Policy, PolicyCard, Path]:
     if settings["policy"] == "ik":
         card = policy_card(compose("train", ("experiment=real_arm",)))
         return InverseKinematicsPolicy(card.max_delta_rad), card, Path(settings["results_dir"]) / "ik" / "seed0"
-    path = Path(str(settings["policy"]))
+    path = checks.path("policy", settings["policy"])
     policy = load_policy(path)
     return policy, policy.card, path if path.is_dir() else path.parent
 
@@ -154,7 +154,7 @@ def _camera_search(settings: Settings, stack: ExitStack, size_m: tuple[float, fl
     from uarm_rl.real.search import CameraSearch
     from uarm_rl.real.vision.camera_model import Calibration, nominal
 
-    detector, path = build("detector", settings["detector"]), Path(settings["calibration"])
+    detector, path = build("detector", settings["detector"]), checks.path("calibration", settings["calibration"])
     camera = stack.enter_context(open_camera(settings))
     emulated = settings["port"] is not None and is_emulated(settings["port"])
     calibration = None if emulated and not path.exists() else Calibration.load(path)

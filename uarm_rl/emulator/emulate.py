@@ -175,9 +175,8 @@ def _fault(kind: type[Fault], settings: Mapping[str, Any]) -> Any:
 def _calibration(path: str | None, image_size: Sequence[int]) -> Calibration:
     if path is not None:
         return Calibration.load(Path(path))
-    if len(image_size) != 2:
-        raise ValueError(f"image_size is two numbers of pixels, width and height, got {list(image_size)!r}")
-    width, height = (checks.integer("image_size", size, low=32, high=1280) for size in image_size)
+    checks.numbers("image_size", image_size, (320, 240), "two numbers of pixels, width and height")
+    width, height = checks.integers("image_size", image_size, low=32, high=1280)
     return nominal((width, height))
 
 
@@ -185,10 +184,8 @@ def _appearance(look: str, colour: Sequence[int]) -> tuple[tuple[float, ...], Pi
     """Paint of the box (0 to 1), and what lies on top of it."""
     if look not in _LOOKS:
         raise ValueError(f"look is one of {', '.join(_LOOKS)}, got {look!r}")
-    if len(colour) != 3:
-        raise ValueError(f"colour is three numbers, red, green and blue from 0 to 255, got {list(colour)!r}")
-    for value in colour:
-        checks.integer("colour", value, low=0, high=255)
+    checks.numbers("colour", colour, (217, 38, 26), "three numbers, red, green and blue")
+    checks.integers("colour", colour, low=0, high=255)
     if look == "box":
         return tuple(value / 255.0 for value in colour), None
     return _UNPAINTED, tag_texture(_TAG) if look == "tag" else plain_texture(colour)
@@ -197,10 +194,7 @@ def _appearance(look: str, colour: Sequence[int]) -> tuple[tuple[float, ...], Pi
 def _position(position: Sequence[float] | None) -> Sequence[float] | None:
     if position is None:
         return None
-    if len(position) != 3:
-        raise ValueError(f"object_position is x, y and z in metres, got {list(position)!r}")
-    for value in position:
-        checks.number("object_position", value)
+    position = checks.position("object_position", position)
     if not kinematics.reachable(position):
         raise ValueError(f"the cup cannot reach object_position {list(position)!r}; it is the upper surface, in metres")
     return position

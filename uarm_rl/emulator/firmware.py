@@ -97,11 +97,6 @@ class Firmware:
             sent += heapq.heappop(self._out)[2]
         return b"" if self.unplugged else bytes(sent)
 
-    def replug(self) -> None:
-        """Put the cable back, which resets the controller."""
-        self.unplugged = False
-        self.reset()
-
     # Time
 
     def _tick(self, dt_s: float) -> None:

@@ -31,7 +31,6 @@ class Detection:
 
     centre_px: tuple[float, float]  # u right, v down
     outline_px: Array  # the outline, shape (n, 2)
-    area_px: float
 
 
 class Detector(Protocol):
@@ -96,7 +95,7 @@ class ColourDetector:
             )
         moments = cv2.moments(outline)
         centre = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
-        return Detection(centre, corners, areas[large[0]])
+        return Detection(centre, corners)
 
 
 def _places(outlines: Iterable[Any]) -> str:
@@ -148,7 +147,7 @@ class MarkerDetector:
             numbers = ", ".join(str(number) for number in sorted(found[index] for index in wanted))
             raise TargetNotFoundError(f"{len(wanted)} times {name} is in view (ids {numbers}); leave one, or name its id")
         square = np.asarray(corners[wanted[0]], dtype=np.float64).reshape(4, 2)
-        return Detection(_crossing(square), square, float(cv2.contourArea(square.astype(np.float32))))
+        return Detection(_crossing(square), square)
 
 
 def _crossing(square: Array) -> tuple[float, float]:
