@@ -127,12 +127,19 @@ def _bound(value: float) -> str:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Each setting in which two configurations differ, in words, as in ``agent.gamma=0.9, not 0.99``."""
+    """Each setting in which two configurations differ, in words, as in ``agent.gamma=0.9, not 0.99``.
+
+    Of a group with another name the name says it all, as in ``sim=pybullet, not mujoco``.
+    """
     found = []
     for key in [*before, *(key for key in now if key not in before)]:
         then, wanted = before.get(key), now.get(key)
-        if isinstance(then, Mapping) and isinstance(wanted, Mapping):
+        if isinstance(then, Mapping) and isinstance(wanted, Mapping) and then.get("name") == wanted.get("name"):
             found += [f"{key}.{inner}" for inner in differences(then, wanted)]
         elif then != wanted:
-            found.append(f"{key}={then}, not {wanted}")
+            found.append(f"{key}={_named(then)}, not {_named(wanted)}")
     return found
+
+
+def _named(value: Any) -> Any:
+    return value.get("name", value) if isinstance(value, Mapping) else value

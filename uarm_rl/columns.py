@@ -106,6 +106,7 @@ CONDITIONS: Final = _columns(
     Column("control_hz", FINITE, "1/s", "control steps a second", since="2026-11-22"),
     Column("servo_rise_s", FINITE, "s", "the servo's rise time, 10 to 90 % of 0.15 rad", since="2026-11-22"),
     Column("sigma", FINITE, "1/m", "of the method's own reward: the punishment for moving the object", since="2026-11-22"),
+    Column("engine", TEXT, "", "`pybullet` or `mujoco`; in older files it is PyBullet", since="2026-11-27"),
 )
 EVALUATION: Final[Columns] = {**MEASURED, **CONDITIONS}
 
@@ -124,6 +125,14 @@ TRACES: Final[Columns] = {
     ),
     **STATE,
 }
+
+#: A row a motion of which both engines got the same commands.
+TRAJECTORIES: Final = _columns(
+    Column("motion", TEXT, "", "`free` in the air, or `contact` with the object"),
+    Column("position", WHOLE, "", "number of the position"),
+    Column("cup_apart_m", FINITE, "m", "from the cup in one engine to the cup in the other, the most in all control steps"),
+    Column("object_apart_m", FINITE, "m", "likewise from object to object; empty if it has no part in it, or fell", empty=True),
+)
 
 #: A row a trial on the arm, real or emulated.
 TRIALS: Final = _columns(

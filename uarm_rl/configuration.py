@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from uarm_rl import checks, files
 from uarm_rl.checks import UsageError, did_you_mean
 from uarm_rl.files import CONFIG, POLICY
+from uarm_rl.sim import engines
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -62,22 +63,6 @@ def _servos() -> dict[str, Callable[..., Any]]:
     return {"second_order": SecondOrder, "stepper": Stepper, "instant": Instant}
 
 
-def _sims() -> dict[str, Callable[..., Any]]:
-    """Functions that import their engine: the others may not be installed."""
-
-    def pybullet() -> Callable[..., Any]:
-        from uarm_rl.sim.pybullet_arm import SimArm
-
-        return SimArm
-
-    def mujoco() -> Callable[..., Any]:
-        from uarm_rl.sim.mujoco_arm import MujocoArm
-
-        return MujocoArm
-
-    return {"pybullet": pybullet, "mujoco": mujoco}
-
-
 def _agents() -> dict[str, Callable[..., Any]]:
     from uarm_rl.learn.ddpg import DDPG
 
@@ -106,7 +91,7 @@ OPEN_SETS: Final = {
     "reward": _rewards,
     "noise": _noises,
     "servo": _servos,
-    "sim": _sims,
+    "sim": engines.loaders,
     "agent": _agents,
     "camera": _cameras,
     "detector": _detectors,
@@ -191,8 +176,10 @@ def groups() -> list[str]:
 def our_hydra() -> Iterator[Any]:
     """Hydra over ``conf/``. Another that is running, for a multirun or a program around this one, is set aside meanwhile."""
     import hydra
+    from hydra.core.config_store import ConfigStore
     from hydra.core.global_hydra import GlobalHydra
 
+    ConfigStore.instance().store("installed", {"defaults": [engines.installed()]}, group="sim")  # what sim=auto stands for
     running, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
     try:
         with hydra.initialize_config_module("uarm_rl.conf", version_base="1.3"):
@@ -209,6 +196,7 @@ def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = F
     """
     import hydra
     from hydra.errors import HydraException
+    from omegaconf import open_dict
     from omegaconf.errors import OmegaConfBaseException
 
     for override in overrides:
@@ -218,9 +206,15 @@ def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = F
             raise UsageError(f"there is no {override}{did_you_mean(value, there) or ';'} {key} is one of {', '.join(there)}")
     try:
         with our_hydra():
-            return plain(hydra.compose(command.replace("-", "_"), list(overrides)), incomplete=incomplete)
+            cfg = hydra.compose(command.replace("-", "_"), list(overrides), return_hydra_config=True)
+        with open_dict(cfg):
+            chosen = cfg.pop("hydra").runtime.choices.get("sim")
+        settings = plain(cfg, incomplete=incomplete)
     except (HydraException, OmegaConfBaseException) as error:
         raise UsageError(_sentence(" ".join(str(error).split()), command)) from error
+    if chosen == "auto" and settings["sim"]["name"] != "pybullet" and not incomplete:
+        engines.tell()
+    return settings
 
 
 def groups_of(command: str) -> dict[str, list[str]]:
@@ -345,6 +339,12 @@ def read_run(run_dir: Path) -> Settings:
     names = {group: value.get("name") for group, value in settings.items() if isinstance(value, Mapping)}
     chosen = tuple(f"{group}={name}" for group, name in sorted(names.items()) if name in choices(group))
     return _merged(_defaults(chosen), settings)
+
+
+def in_engine(settings: Settings, sim: Mapping[str, Any] | None) -> Settings:
+    """A run's settings in another engine, if one is given; the object stays the same."""
+    kept = {key: settings["sim"][key] for key in ("object_size_m", "object_mass_kg")}
+    return settings | {"sim": {**sim, **kept}} if sim else settings
 
 
 def read_yaml(path: Path) -> Settings:

@@ -27,6 +27,8 @@ def folder(tmp_path, monkeypatch):
         ("uarm-rl train buffer=ad", ["buffer=adaptive"]),
         ("uarm-rl train experiment=ha", ["experiment=halves"]),
         ("uarm-rl train experiment=A,rea", ["experiment=A,real_arm"]),
+        ("uarm-rl train sim=", ["sim=auto", "sim=fine", "sim=mujoco", "sim=pybullet"]),
+        ("uarm-rl train sim.g", ["sim.gui="]),
         ("uarm-rl evaluate hold=un", ["hold=until_steady"]),
         ("uarm-rl evaluate bu", []),  # a group that this command does not have
         ("uarm-rl train buf", ["buffer=", "buffer."]),

@@ -10,10 +10,11 @@ import pytest
 import torch
 
 from uarm_rl import configuration
+from uarm_rl.sim.engines import installed
 
 CONF = Path(str(resources.files("uarm_rl.conf")))
 CHOICES = [(path.parent.name, path.stem) for path in sorted(CONF.glob("*/*.yaml"))]
-ENGINES = {"pybullet": "pybullet", "fine": "pybullet", "mujoco": "mujoco"}
+ENGINES = {"pybullet": "pybullet", "fine": "pybullet", "mujoco": "mujoco", "auto": installed()}
 
 RUNTIME = {
     "noise": {"action_size": 3, "generator": np.random.default_rng(0)},

@@ -194,7 +194,7 @@ def test_importing_the_package_is_light_and_registers_the_environment(order):
     assert done.stdout.splitlines() == ["set()", ID]
 
 
-@pytest.mark.parametrize(("missing", "remedy"), [("pybullet", "Elsewhere sim=mujoco trains"), ("mujoco", "pip install")])
+@pytest.mark.parametrize(("missing", "remedy"), [("pybullet", "elsewhere sim=mujoco trains"), ("mujoco", "pip install")])
 def test_where_the_engine_is_missing_a_sentence_says_what_to_do(missing, remedy):
     code = (
         f"import sys; sys.modules['{missing}'] = None\nimport gymnasium, uarm_rl\n"
@@ -202,5 +202,5 @@ def test_where_the_engine_is_missing_a_sentence_says_what_to_do(missing, remedy)
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     last = done.stderr.splitlines()[-1]
-    assert last.startswith(f"ModuleNotFoundError: {missing} is not installed; ")
+    assert last.startswith(f"ModuleNotFoundError: {missing} is not installed")
     assert remedy in last

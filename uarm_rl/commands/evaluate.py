@@ -13,21 +13,19 @@ from __future__ import annotations
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from tqdm import tqdm
 
 from uarm_rl import checks, columns, csvfile, workers
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, compose, load_policy, read_run
+from uarm_rl.configuration import Settings, build, build_env, compose, in_engine, load_policy, read_run
 from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import Row, measure, trace_rows
 from uarm_rl.files import POLICY
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
-
-_OBJECT: Final = ("object_size_m", "object_mass_kg")
 
 
 def run(settings: Settings) -> None:
@@ -56,9 +54,10 @@ def run(settings: Settings) -> None:
     ik = settings["policy"] == "ik"
     run_dirs = [results_dir / "ik" / "seed0"] if ik else _trained_runs(results_dir)
     done = [run_dir for run_dir in run_dirs if not _is_due(settings, run_dir / file)]
+    engine = (f"sim={settings['sim']['name']}",) if settings.get("sim") else ()
     for run_dir in run_dirs:
         if run_dir not in done:
-            _evaluate_run(settings, run_dir, compose("train") if ik else read_run(run_dir), run_dir / file)
+            _evaluate_run(settings, run_dir, compose("train", engine) if ik else read_run(run_dir), run_dir / file)
     if done:
         print(f"evaluated already, {file} is there (out=NAME.csv is for another test): {', '.join(map(str, done))}")
 
@@ -109,8 +108,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
-    if settings.get("sim"):  # another engine, the same object
-        run_settings = run_settings | {"sim": settings["sim"] | {key: run_settings["sim"][key] for key in _OBJECT}}
+    run_settings = in_engine(run_settings, settings.get("sim"))
     where = positions.load_named(str(settings["positions"]))
     policy = load_policy(run_dir, settings["policy"], run_settings)
     make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
@@ -128,6 +126,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
         "control_hz": control_hz,
         "servo_rise_s": rise_time_s(build("servo", run_settings["servo"])),
         "sigma": run_settings["reward"]["sigma"],
+        "engine": run_settings["sim"]["name"],
     }
     rows: list[Row] = []
     traces: list[Row] = []

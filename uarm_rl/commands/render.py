@@ -4,6 +4,7 @@ Examples:
   uarm-rl render run=results/adaptive-penalty/seed0   episode.gif in the run's folder
   uarm-rl render run=results/uniform-plain/seed0 position=[0.25,0.1,0.03] out=shaking.gif
   uarm-rl render run=results/adaptive-penalty/seed0 policy=ik out=ik.gif
+  uarm-rl render run=results/adaptive-penalty/seed0 sim=mujoco out=mujoco.gif  in the other engine
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from uarm_rl import checks, workers
-from uarm_rl.configuration import Settings, build_env, load_policy, read_run
+from uarm_rl.configuration import Settings, build_env, in_engine, load_policy, read_run
 from uarm_rl.evaluation.film import check_film, film, write_film
 from uarm_rl.sim.simulated_arm import SimulatedArm
 
@@ -30,7 +31,7 @@ def run(settings: Settings) -> None:
     run_dir = checks.path("run", settings["run"])
     out = output(settings)
     check_film(out, width, height)
-    run_settings = read_run(run_dir)
+    run_settings = in_engine(read_run(run_dir), settings.get("sim"))
     policy = load_policy(run_dir, settings["policy"], run_settings)
     control_hz = run_settings["control_hz"]
     env = build_env(

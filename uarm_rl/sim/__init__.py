@@ -1,8 +1,8 @@
 """The simulated arm.
 
 Read ``simulated_arm.py`` first: arm, table and box behind the task's protocols, as far as they do not depend on the engine.
-``pybullet_arm.py`` and ``mujoco_arm.py`` are the engines, ``servo.py`` the models of how joints answer a command,
-``trapezoid.py`` the move that the stepper servo and the emulated firmware plan.
+``pybullet_arm.py`` and ``mujoco_arm.py`` are the engines, ``engines.py`` says which of them there are, ``servo.py`` the models
+of how joints answer a command, ``trapezoid.py`` the move that the stepper servo and the emulated firmware plan.
 
 Uses ``task`` alone.
 """

@@ -51,8 +51,8 @@ try:
         import pybullet as bullet
 except ModuleNotFoundError:
     raise ModuleNotFoundError(
-        "pybullet is not installed; it has wheels for Python 3.10 and 3.11 on Linux x86-64 alone. Elsewhere sim=mujoco trains, "
-        "evaluates and renders; the emulator needs PyBullet",
+        "pybullet is not installed, and has wheels for Python 3.10 and 3.11 on Linux x86-64 alone; elsewhere sim=mujoco "
+        "trains, evaluates and renders, but the emulator needs PyBullet",
         name="pybullet",
     ) from None
 
