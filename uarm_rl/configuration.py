@@ -52,9 +52,9 @@ def _rewards() -> dict[str, Callable[..., Any]]:
 
 
 def _noises() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.learn.noise import Gaussian, OrnsteinUhlenbeck
+    from uarm_rl.learn.noise import OrnsteinUhlenbeck
 
-    return {"ornstein_uhlenbeck": OrnsteinUhlenbeck, "gaussian": Gaussian}
+    return {"ornstein_uhlenbeck": OrnsteinUhlenbeck}
 
 
 def _servos() -> dict[str, Callable[..., Any]]:

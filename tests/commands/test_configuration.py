@@ -89,12 +89,6 @@ def test_plain_and_penalty_differ_in_sigma_alone():
     assert {key for key in plain if plain[key] != penalty[key]} == {"name", "sigma"}
 
 
-def test_ablations_have_folders_of_their_own():
-    experiments = [choice for group, choice in CHOICES if group == "experiment"]
-    names = [configuration.compose("train", (f"experiment={name}",))["name"] for name in experiments]
-    assert len(set(names)) == len(names)
-
-
 @pytest.mark.parametrize("path", sorted(CONF.rglob("*.yaml")), ids=lambda path: str(path.relative_to(CONF)))
 def test_every_key_is_commented(path):
     hidden = ("defaults:", "hydra:", "name:")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any
 
 from uarm_rl import checks, workers
 from uarm_rl.task.arm import ArmError
@@ -16,34 +16,6 @@ from uarm_rl.task.env import UArmSuctionEnv
 
 MakeEnv = Callable[[], UArmSuctionEnv]
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
-
-
-class AsyncEnv(Protocol):
-    """What the training loop asks of an environment."""
-
-    def reset(self, *, home: bool) -> Any:
-        """The first observation after a reset, with the arm brought home or left where it is."""
-        ...
-
-    def step_async(self, action: Any) -> None:
-        """Begin a decision."""
-        ...
-
-    def step_wait(self) -> Step:
-        """What came of it, as Gymnasium's ``step`` returns it."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """What a resume needs, JSON: the generator that places objects is all that outlives a reset with ``home``."""
-        ...
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Take over another environment's state; :class:`ValueError` if it is none."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the environment."""
-        ...
 
 
 class InlineEnv:
@@ -55,21 +27,27 @@ class InlineEnv:
         self._action: Any = None
 
     def reset(self, *, home: bool) -> Any:
+        """The first observation after a reset, with the arm brought home or left where it is."""
         return self._env.reset(options={"home": home})[0]
 
     def step_async(self, action: Any) -> None:
+        """Begin a decision."""
         self._action = action
 
     def step_wait(self) -> Step:
+        """What came of it, as Gymnasium's ``step`` returns it."""
         return self._env.step(self._action)
 
     def state(self) -> dict[str, Any]:
+        """What a resume needs, JSON: the generator that places objects is all that outlives a reset with ``home``."""
         return {"generator": self._env.np_random.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
+        """Take over another environment's state; :class:`ValueError` if it is none."""
         self._env.np_random.bit_generator.state = checks.generator_state("env.generator", state["generator"])
 
     def close(self) -> None:
+        """Let go of the environment."""
         self._env.close()
 
 
@@ -123,6 +101,9 @@ class SubprocessEnv:
         if isinstance(answer, Exception):
             raise answer
         return answer
+
+
+AsyncEnv = InlineEnv | SubprocessEnv
 
 
 def _serve(pipe: Connection, make_env: MakeEnv, seed: int) -> None:

@@ -13,7 +13,7 @@ from uarm_rl.learn.admission import Admission
 from uarm_rl.learn.async_env import AsyncEnv
 from uarm_rl.learn.checkpoint import Checkpoint, CheckpointError
 from uarm_rl.learn.ddpg import DDPG
-from uarm_rl.learn.noise import Noise
+from uarm_rl.learn.noise import OrnsteinUhlenbeck
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.task.policy import ActorPolicy
 
@@ -49,7 +49,7 @@ class Learner:
     policy: ActorPolicy
     replay: ReplayBuffer
     admission: Admission
-    noise: Noise
+    noise: OrnsteinUhlenbeck
     counters: Counters = field(default_factory=Counters)
 
     def snapshot(self, next_experiences: int) -> Callable[[], Checkpoint]:

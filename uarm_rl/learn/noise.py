@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,32 +10,12 @@ from numpy.typing import NDArray
 from uarm_rl import checks
 
 
-class Noise(Protocol):
-    """Exploration noise."""
-
-    def reset(self) -> None:
-        """Begin a new episode."""
-        ...
-
-    def __call__(self, progress: float) -> NDArray[np.float64]:
-        """Noise for one action, shape (action_size,); ``progress`` runs from 0 to 1 over the training."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """What a resume needs; JSON."""
-        ...
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Take over the state of noise of the same kind and size; :class:`ValueError` if it does not fit."""
-        ...
-
-
 class OrnsteinUhlenbeck:
     """Noise that remembers: ``x <- (1 - theta) x + sqrt(1 - (1 - theta)^2) N(0, 1)``, times an amplitude.
 
     The process has unit variance, so ``amplitude`` is the standard deviation of the noise. It falls linearly from
     ``initial_amplitude`` to ``final_amplitude`` over the first ``decay_fraction`` of the training ("gradually
-    reduced as the training proceeds", section 4.1 of the paper).
+    reduced as the training proceeds", section 4.1 of the paper). With ``theta`` of 1 it has no memory: Gaussian noise.
     """
 
     def __init__(
@@ -57,17 +37,21 @@ class OrnsteinUhlenbeck:
         self._value: NDArray[np.float64] = np.zeros(action_size)
 
     def reset(self) -> None:
+        """Begin a new episode."""
         # Start from the stationary distribution: the first actions of an episode explore as the later ones do.
         self._value = self._generator.standard_normal(len(self._value))
 
     def __call__(self, progress: float) -> NDArray[np.float64]:
+        """Noise for one action, shape (action_size,); ``progress`` runs from 0 to 1 over the training."""
         self._value = self._keep * self._value + self._innovation * self._generator.standard_normal(len(self._value))
         return self.amplitude(progress) * self._value
 
     def state(self) -> dict[str, Any]:
+        """What a resume needs; JSON."""
         return {"state": self._value.tolist(), "generator": self._generator.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
+        """Take over the state of noise of the same kind and size; :class:`ValueError` if it does not fit."""
         value = np.array(state["state"], np.float64)
         if value.shape != self._value.shape or not np.isfinite(value).all():
             raise ValueError("the state of its noise is none")
@@ -77,25 +61,3 @@ class OrnsteinUhlenbeck:
     def amplitude(self, progress: float) -> float:
         """Standard deviation of the noise at ``progress``."""
         return self._initial + (self._final - self._initial) * min(1.0, progress / self._decay)
-
-
-class Gaussian(OrnsteinUhlenbeck):
-    """Noise without memory: Ornstein-Uhlenbeck with theta = 1, the same falling amplitude."""
-
-    def __init__(
-        self,
-        *,
-        initial_amplitude: float,
-        final_amplitude: float,
-        decay_fraction: float,
-        action_size: int,
-        generator: np.random.Generator,
-    ) -> None:
-        super().__init__(
-            theta=1.0,
-            initial_amplitude=initial_amplitude,
-            final_amplitude=final_amplitude,
-            decay_fraction=decay_fraction,
-            action_size=action_size,
-            generator=generator,
-        )
