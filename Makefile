@@ -1,9 +1,9 @@
 # Two commands for a newcomer: `make demo` and `make test`. Both are idempotent and need no root.
-# PyBullet has wheels for Python 3.10 and 3.11 on Linux x86-64; PYTHON=... names another interpreter.
+# The first of these Pythons that fits; PYTHON=... names another. PyBullet has wheels for 3.10 and 3.11 on Linux x86-64.
 VENV := .venv
 BIN := $(VENV)/bin
-PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do \
-	"$$name" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 11))' 2>/dev/null && { echo "$$name"; break; }; done)
+FITS := -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))' 2>/dev/null
+PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do "$$name" $(FITS) && { echo "$$name"; break; }; done)
 DEMO_EPISODES ?= 100
 export OPENBLAS_NUM_THREADS := 1
 
@@ -64,12 +64,11 @@ torture: $(VENV)/.installed-test  ## kill trainings, fail saves, damage files, h
 	$(BIN)/python -m tests.torture --out tests/torture.csv
 
 $(VENV)/bin/python:
-	@[ -n "$(PYTHON)" ] || { echo "uarm-rl needs Python 3.10 or 3.11 (PyBullet has no wheels for others): install one, or name it with PYTHON=/path/to/python3.11"; exit 1; }
+	@"$(PYTHON)" $(FITS) || { echo "uarm-rl needs Python 3.10 to 3.14, and $(or $(PYTHON),what is here) is none of them: install one, or name it with PYTHON=/path/to/python3"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
 # The stamps go stale when what is installed changes; the editable install follows the code by itself.
 $(VENV)/.installed: $(VENV)/bin/python setup.cfg pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	@touch $@
 

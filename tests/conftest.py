@@ -18,8 +18,8 @@ from uarm_rl.sim.simulated_arm import SimulatedArm
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import PolicyCard
 
-#: The same examples every time: a suite that fails tomorrow without a change is no help.
-hypothesis.settings.register_profile("same", derandomize=True)
+#: The same examples every time, however long they take: a suite that fails tomorrow without a change is no help.
+hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("same")
 
 #: A training of seconds: small networks, short episodes, short validation.

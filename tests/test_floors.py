@@ -48,7 +48,6 @@ OWNERS = {
     "gymnasium": ("task.env",),
     "matplotlib": ("report",),
     "pandas": ("report",),
-    "scipy": ("report",),
     "safetensors": ("task.policy", "learn.checkpoint"),
 }
 

@@ -98,7 +98,7 @@ def redness_centre(picture):
     return np.array([(u * weight).sum(), (v * weight).sum()]) / weight.sum()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(0.19, 0.35), st.floats(-0.09, 0.12), st.floats(0.03, 0.08), st.floats(-np.pi, np.pi))
 def test_pictures_agree_with_the_projection(stickered, x_m, y_m, height_m, yaw_rad):
     """To a fraction of a pixel, wherever in the picture, and at any height, the object lies."""

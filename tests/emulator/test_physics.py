@@ -90,7 +90,7 @@ def cup_m(world):
 # Motors
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.tuples(*[st.floats(0, 1)] * 3))
 def test_joints_follow_the_motors_and_the_hand_stays_level(share):
     low, high = kinematics.JOINT_LIMITS_RAD.T
@@ -164,7 +164,7 @@ def test_a_sealed_cup_lifts_the_object_and_lets_it_fall(world):
     assert cup_m(world)[2] == pytest.approx(0.1, abs=1e-3)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     st.tuples(st.floats(-0.009, 0.009), st.floats(-0.009, 0.009)),
     st.floats(-math.pi / 4, math.pi / 4),

@@ -108,7 +108,7 @@ def homed():
     return bench, arm
 
 
-@settings(deadline=None, max_examples=1000)
+@settings(max_examples=1000)
 @example(reference=[True, True, True], relative=False)
 @given(reference=_ANY_REFERENCE, relative=st.booleans())
 def test_hostile_references_put_nothing_unsafe_on_the_wire(homed, reference, relative):

@@ -258,7 +258,7 @@ def test_a_port_that_vanishes(error, call, monkeypatch):
     st.integers(8, 4096),
     st.binary(max_size=8),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_any_answers_give_a_picture_or_one_error_within_the_deadline(answers, piece, stray):
     port, openmv = connect(*answers, piece=piece, stray=stray[:3], pending=stray)
     with suppress(CameraError):

@@ -36,7 +36,7 @@ def discs(*centres, radius=18, colour=RED_BGR, noise=3.0):
 
 
 @given(st.floats(30, 290), st.floats(30, 210), st.floats(8, 25))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_centre_of_a_colour_is_found_to_a_fraction_of_a_pixel(u, v, radius):
     seen = RED.detect(discs((u, v), radius=radius))
     assert seen.centre_px == pytest.approx((u, v), abs=0.3)
@@ -74,7 +74,7 @@ def test_specks_do_not_count():
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_picture_gives_one_object_or_a_sentence(seed):
     image = np.random.default_rng(seed).integers(0, 256, (60, 80, 3), np.uint8)
     with suppress(TargetNotFoundError):

@@ -48,7 +48,6 @@ def test_request_numbers_are_checked(number):
         encode(number, gcode.READ_PUMP)
 
 
-@settings(deadline=None)
 @given(st.integers(1, gcode.MAX_NUMBER), st.sampled_from(sorted(gcode.COMMANDS)), st.data())
 def test_every_line_fits_the_firmware(number, name, data):
     words = gcode.COMMANDS[name].words
@@ -101,7 +100,7 @@ def test_decode(line, message):
     assert decode(line) == message
 
 
-@settings(deadline=None, max_examples=500)
+@settings(max_examples=500)
 @given(st.binary(max_size=300) | st.from_regex(rb"(\$\d{0,12}|@|ok|E\d|value:\d)[ -~]{0,40}", fullmatch=True))
 def test_decode_never_fails(line):
     message = decode(line)

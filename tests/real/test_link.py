@@ -217,7 +217,7 @@ def test_closing_twice_is_fine_and_a_broken_port_closes_too():
     arm.close()
 
 
-@settings(deadline=None, max_examples=2000)
+@settings(max_examples=2000)
 @given(st.lists(st.binary(max_size=80) | st.sampled_from((b"$1 ok V1\n", b"$2 ok", b"@5 V0\n", b"\n", b"$1 E2")), max_size=9))
 def test_random_bytes_from_the_arm(chunks):
     script, arm = connect(b"".join(chunks))

@@ -222,7 +222,7 @@ def test_a_threshold_that_makes_the_outline_wider_does_not_move_the_box():
 
 
 @given(st.lists(pixels, min_size=3, max_size=20), st.floats(0.01, 0.05))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_any_outline_gives_a_box_in_sight(outline, height):
     box = locate_box(outline, PHOTO, NOMINAL, (0.03, 0.03, height))
     assert np.isfinite(box.top_m).all()

@@ -83,7 +83,7 @@ outcomes = st.integers(1, 4).flatmap(
 )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.fixed_dictionaries(dict.fromkeys("ABCD", outcomes)))
 def test_comparisons_agree_with_each_other(seeds_of):
     evaluations = {

@@ -44,7 +44,7 @@ def engines():
 unit = st.floats(0, 1)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.tuples(unit, unit, unit))
 def test_engine_and_forward_kinematics_agree(arm, share):
     low, high = kinematics.JOINT_LIMITS_RAD.T
@@ -56,7 +56,7 @@ def test_engine_and_forward_kinematics_agree(arm, share):
     assert np.abs(arm.link_ends() - kinematics.forward(joints)).max() < 1e-4
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=1, max_size=8))
 def test_no_command_drives_a_joint_past_its_limits(arm, actions):
     arm.home()

@@ -11,5 +11,5 @@ Read ``report.py`` first: it assembles all of it. ``records.py`` reads and check
 - ``ablations.py``: the shorter runs that say why it works
 - ``arm_trials.py``: trials on an arm
 
-Uses ``task`` alone; the only owner of pandas, scipy and Matplotlib.
+Uses ``task`` alone; the only owner of pandas and Matplotlib.
 """

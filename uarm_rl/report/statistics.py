@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import bdtr, ndtri
 
 from uarm_rl import checks
 
@@ -26,7 +27,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> In
     """The score interval of a binomial proportion, without continuity correction (Wilson 1927, JASA 22:209)."""
     checks.integer("trials", trials, low=1)
     checks.integer("successes", successes, low=0, high=trials)
-    z = float(ndtri((1.0 + _confidence(confidence)) / 2.0))
+    z = NormalDist().inv_cdf((1.0 + _confidence(confidence)) / 2.0)
     rate, shrinkage = successes / trials, z * z / trials
     centre = (rate + shrinkage / 2.0) / (1.0 + shrinkage)
     half = z * (rate * (1.0 - rate) / trials + shrinkage / (4.0 * trials)) ** 0.5 / (1.0 + shrinkage)
@@ -44,8 +45,9 @@ def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> Discordance:
     if one.shape != other.shape:
         raise ValueError(f"first and second must cover the same positions, got {one.size} and {other.size}")
     first_only, second_only = int(np.sum(one > other)), int(np.sum(one < other))
-    tail = float(bdtr(min(first_only, second_only), first_only + second_only, 0.5))
-    return Discordance(first_only, second_only, min(1.0, 2.0 * tail))
+    discordant = first_only + second_only
+    as_uneven = 2 * sum(comb(discordant, count) for count in range(min(first_only, second_only) + 1))
+    return Discordance(first_only, second_only, min(1.0, as_uneven / 2**discordant))
 
 
 def bootstrap_interval(
