@@ -7,7 +7,7 @@ PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do "$$name" 
 DEMO_EPISODES ?= 100
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo paper ablations test check bench torture clean
+.PHONY: demo paper ablations engines test check bench torture clean
 
 demo: $(VENV)/.installed  ## train method C for a short budget, test it on the 100 positions, write the report
 	$(BIN)/uarm-rl train experiment=C episodes=$(DEMO_EPISODES) results_dir=demo resume=true
@@ -49,6 +49,15 @@ ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works,
 	$(BIN)/uarm-rl evaluate results_dir=$(RESULTS)/ablations overwrite=true
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
+engines: $(VENV)/.installed-engines  ## the paper's policies in MuJoCo too, C and D trained there, and the report; about 25 minutes on two cores
+	$(TRAIN) results_dir=$(RESULTS)/mujoco experiment=C,D seed=$(SEEDS) sim=mujoco episodes=300 $(OVERRIDES)
+	$(EVALUATE)/mujoco
+	$(EVALUATE)/mujoco sim=pybullet out=pybullet.csv
+	$(EVALUATE) sim=mujoco out=mujoco.csv
+	$(EVALUATE) policy=ik sim=mujoco out=mujoco.csv
+	$(BIN)/python benchmarks/engines.py --out $(RESULTS)/mujoco/trajectories.csv
+	$(BIN)/uarm-rl report results_dir=$(RESULTS)
+
 test: $(VENV)/.installed-test  ## the whole test suite
 	$(BIN)/python -m pytest -n 2
 
@@ -82,6 +91,10 @@ $(VENV)/.installed-dev: $(VENV)/.installed-test
 
 $(VENV)/.installed-launch: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[launch]'
+	@touch $@
+
+$(VENV)/.installed-engines: $(VENV)/.installed-launch
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mujoco]'
 	@touch $@
 
 $(VENV)/.installed-bench: $(VENV)/.installed

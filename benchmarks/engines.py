@@ -1,15 +1,16 @@
 """How far the engines are apart under the same commands, in the air and on the object.
 
-    python benchmarks/engines.py
+    python benchmarks/engines.py [--out results/mujoco/trajectories.csv]     (make engines runs it)
 
 For each of the 100 test positions PyBullet and MuJoCo get the same joint references, control step by control step, whatever
 comes of them. *free*: random steps in the air, a new one before the last has ended. *contact*: the cup comes down on the
 object, presses as hard as ``run-real`` may at most, drags the object sideways, and lifts off. Writes
-``results/mujoco/trajectories.csv``, of which ``uarm-rl report`` makes the second table of ``results/engines.md``.
+the file of which ``uarm-rl report`` makes the second table of ``results/engines.md``.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -76,6 +77,9 @@ def play(arm: SimulatedArm, position: np.ndarray, commands: Sequence[Command], m
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=OUT, help="file for the result")
+    out: Path = parser.parse_args().out
     settings = configuration.compose("train")
     rows: list[Row] = []
     with ExitStack() as stack:
@@ -90,8 +94,9 @@ def main() -> None:
                 one, other = (play(arm, position, commands, motion) for arm in arms)
                 cup_m, object_m = np.linalg.norm(one - other, axis=2).max(axis=0).tolist()
                 rows.append({"motion": motion, "position": number, "cup_apart_m": cup_m, "object_apart_m": object_m})
-    write_rows(OUT, TRAJECTORIES, rows)
-    print(OUT)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_rows(out, TRAJECTORIES, rows)
+    print(out)
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ outcomes = st.integers(1, 4).flatmap(
 def test_comparisons_agree_with_each_other(seeds_of):
     evaluations = {
         method.folder: pd.DataFrame(
-            {"seed": seed, "position": position, "success": float(success)}
+            {"seed": seed, "position": position, "success": float(success), "engine": "pybullet"}
             for seed, of_seed in enumerate(seeds_of[method.label])
             for position, success in enumerate(of_seed)
         )

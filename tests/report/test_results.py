@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import shutil
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from uarm_rl.configuration import compose
 from uarm_rl.report.report import report
+from uarm_rl.report.tables import percent
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "results"
@@ -48,3 +50,15 @@ def test_the_texts_quote_the_tables_as_they_are():
     assert first in quoted
     assert first in tables((ROOT / "README.md").read_text())
     assert [table for table in quoted if table not in made] == []
+
+
+def test_the_readme_says_what_the_second_engine_showed():
+    with open(RESULTS / "engines.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    readme = " ".join((ROOT / "README.md").read_text().split())
+    everywhere = [
+        row["method"] for row in rows if float(row["pybullet_success_rate"]) == float(row["mujoco_success_rate"]) == 1
+    ]
+    assert f"{', '.join(everywhere[:-1])} and {everywhere[-1]} reach every position in both" in readme
+    c, d = (percent(float(row["mujoco_success_rate"])) for row in rows if row["trained_in"] == "mujoco")
+    assert f"trained there C reaches {c} and D {d} after 300 episodes" in readme

@@ -17,7 +17,7 @@ from uarm_rl.report.report import report
 
 def run(settings: Settings) -> None:
     """Rebuild table and figures."""
-    print(report(output(settings), compose("train")))
+    print(report(output(settings), compose("train", ("sim=pybullet",))))
 
 
 def output(settings: Settings) -> Path:

@@ -137,7 +137,7 @@ def _begun(folder: Path, settings: Settings) -> list[Row]:
 def _policy_for_the_arm(settings: Settings) -> tuple[Policy, PolicyCard, Path]:
     """The policy, its card, and the folder whose ``real/`` takes its results."""
     if settings["policy"] == "ik":
-        card = policy_card(compose("train", ("experiment=real_arm",)))
+        card = policy_card(compose("train", ("experiment=real_arm", "sim=pybullet")))
         return InverseKinematicsPolicy(card.max_delta_rad), card, Path(settings["results_dir"]) / "ik" / "seed0"
     path = checks.path("policy", settings["policy"])
     policy = load_policy(path)

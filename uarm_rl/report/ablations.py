@@ -12,7 +12,17 @@ from typing import Any, Final, NamedTuple
 import pandas as pd
 
 from uarm_rl.report import figures, statistics, tables
-from uarm_rl.report.records import DISTURBANCE, PROGRESS, Runs, command, find_runs, read_config, read_evaluations, read_seeds
+from uarm_rl.report.records import (
+    DISTURBANCE,
+    PROGRESS,
+    Runs,
+    check_engines,
+    command,
+    find_runs,
+    read_config,
+    read_evaluations,
+    read_seeds,
+)
 from uarm_rl.report.tables import Section
 from uarm_rl.studies import Point, Sweep, belongs, point, studies
 
@@ -75,6 +85,8 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
         return Section()
     runs, points = _told_apart(find_runs(folder))
     evaluations = read_evaluations(runs)
+    if runs:
+        check_engines({str(folder): pd.concat(evaluations.values())})
     columns = {**PROGRESS, **DISTURBANCE}
     progress = {name: read_seeds(folders, "progress.csv", columns) for name, folders in runs.items()}
     curves = {run: _curve(rows) for run, rows in progress.items()}

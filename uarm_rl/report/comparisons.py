@@ -35,6 +35,8 @@ def comparisons(evaluations: Mapping[str, pd.DataFrame]) -> Section:
     """
     rows = {method.label: evaluations[method.folder] for method in METHODS}
     section = Section()
+    if len(engines := sorted({engine for one in rows.values() for engine in one["engine"]})) > 1:
+        return Section(remarks=[f"not compared, because A to D were tested in different engines: {', '.join(engines)}"])
     if unknown := [name for name, weights in _CONTRASTS.items() if not _evaluated(weights, rows)]:
         section.remarks.append(f"not compared, because a method of theirs is not evaluated: {', '.join(unknown)}")
     paired, summed = list(_per_seed(rows)), list(_over_seeds(rows))

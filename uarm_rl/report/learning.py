@@ -57,12 +57,13 @@ def learning(shown: Sequence[Method], progress: Mapping[str, pd.DataFrame]) -> S
     )
 
 
-def shaking(results_dir: Path, runs: Runs) -> Section:
+def shaking(results_dir: Path, shown: Sequence[Method], runs: Runs) -> Section:
     """shaking.png: what A and B (or else C and D) do on the same position, from the traces of the lowest seed.
 
     Of the recorded positions it is the one that takes the uniform method longest: an arm that shakes comes to no end.
     """
-    pairs = [(METHODS[0], METHODS[1]), (METHODS[2], METHODS[3])]
+    a, b, c, d = shown[: len(METHODS)]
+    pairs = [(a, b), (c, d)]
     for pair in pairs:
         recorded = [[run / _TRACES for run in runs[method.folder] if (run / _TRACES).exists()] for method in pair]
         if all(recorded):

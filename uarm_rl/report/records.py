@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -77,11 +77,16 @@ DISTURBANCE: Final = pick(columns.PROGRESS, "successes", "object_losses", "objec
 TRACES: Final = pick(columns.TRACES, "position", "time_s", *columns.STATE)
 TRIALS: Final = pick(columns.TRIALS, "success", "reached", "emulated")
 
+#: The engine of the published runs, and of whatever does not say its engine because it is older.
+OLDEST_ENGINE: Final = "pybullet"
+_MIXED: Final = "no number of a report may be of two engines, so give those of one another name, or another folder"
+
 _REMEDIES: Final = {
     "evaluation.csv": "delete it and evaluate the run again",
     "progress.csv": "restore it, or train again under another name",
     "trials.csv": "delete it, or restore it",
     "paper.csv": "restore it, or delete it to use the packaged one",
+    "trajectories.csv": "delete it, or make it again with benchmarks/engines.py",
 }
 
 
@@ -124,6 +129,40 @@ def _buffer_and_reward(folder: Path) -> tuple[str, str]:
     return (buffer, reward) if isinstance(buffer, str) and isinstance(reward, str) else ("", "")
 
 
+def trained_in(folders: Sequence[Path]) -> str:
+    """The engine that the runs of one name were trained in; empty if no configuration tells.
+
+    Raises :class:`ReportError` if it is not the same for all of them.
+    """
+    sims = [settings.get("sim") for settings in map(read_config, folders) if settings]
+    names = {str(sim.get("name", OLDEST_ENGINE)) if isinstance(sim, dict) else OLDEST_ENGINE for sim in sims}
+    if len(names) > 1:
+        raise ReportError(f"the runs in {folders[0].parent} were trained in {_and(names)}; {_MIXED}")
+    return next(iter(names), "")
+
+
+def check_engines(*tests: Mapping[str, pd.DataFrame]) -> None:
+    """Raises :class:`ReportError` if evaluations that one name has in these tests were made in different engines."""
+    for name in dict.fromkeys(name for test in tests for name in test):
+        if len(names := {engine for test in tests if name in test for engine in test[name]["engine"]}) > 1:
+            raise ReportError(f"the evaluations of {name} were made in {_and(names)}; {_MIXED}")
+
+
+def _and(names: Collection[str]) -> str:
+    return " and ".join(sorted(names))
+
+
+def in_engines(methods: Sequence[Method], runs: Runs, evaluations: Mapping[str, pd.DataFrame]) -> list[Method]:
+    """The methods, with the engine in the label where it is another than that of the published runs."""
+    named = []
+    for method in methods:
+        trained, tested = trained_in(runs[method.folder]), next(iter(evaluations[method.folder]["engine"]), "")
+        engines = [*dict.fromkeys(engine for engine in (trained, tested) if engine)]
+        plain = engines in ([], [OLDEST_ENGINE])
+        named.append(method if plain else method._replace(label=f"{method.label} ({', tested in '.join(engines)})"))
+    return named
+
+
 def read_config(folder: Path) -> dict[str, Any]:
     """A run's configuration as it was written; empty where there is none that can be read."""
     try:
@@ -151,6 +190,9 @@ def read_seeds(folders: Sequence[Path], file: str, columns: Columns) -> pd.DataF
 def read_evaluations(runs: Runs, file: str = "evaluation.csv") -> dict[str, pd.DataFrame]:
     """The evaluations of every name, which must all have been made on the same positions, each once."""
     evaluations = {name: read_seeds(folders, file, EVALUATION) for name, folders in runs.items()}
+    for rows in evaluations.values():
+        rows["engine"] = rows["engine"].replace("", OLDEST_ENGINE)
+    check_engines(evaluations)
     paths = {(name, seed_number(folder)): folder / file for name, folders in runs.items() for folder in folders}
     first: tuple[Path, list[int]] | None = None
     for name, rows in evaluations.items():

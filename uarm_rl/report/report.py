@@ -11,8 +11,9 @@ from uarm_rl.report import tables
 from uarm_rl.report.ablations import ABLATIONS, ablations
 from uarm_rl.report.arm_trials import arm_trials
 from uarm_rl.report.comparisons import comparisons
+from uarm_rl.report.engines import engines
 from uarm_rl.report.learning import learning, rewards, shaking
-from uarm_rl.report.records import PROGRESS, ReportError, command, find_runs, methods, read_evaluations, read_seeds
+from uarm_rl.report.records import PROGRESS, ReportError, command, find_runs, in_engines, methods, read_evaluations, read_seeds
 from uarm_rl.report.robustness import held_out, holds, tolerance
 from uarm_rl.report.sample_efficiency import budgets
 from uarm_rl.report.table1 import table1
@@ -33,18 +34,20 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
     shown = methods(found)
     runs = {method.folder: found.get(method.folder, []) for method in shown}
     evaluations = read_evaluations(runs)
+    shown = in_engines(shown, runs, evaluations)
     progress = {folder: read_seeds(seeds, "progress.csv", PROGRESS) for folder, seeds in runs.items()}
 
     sections = [
         table1(results_dir, shown, runs, evaluations),
         rewards(shown, evaluations),
         learning(shown, progress),
-        shaking(results_dir, runs),
+        shaking(results_dir, shown, runs),
         comparisons(evaluations),
         budgets(shown, progress, evaluations),
         tolerance(results_dir, shown, runs, evaluations),
         held_out(results_dir, shown, runs, evaluations),
         holds(results_dir, shown, runs, evaluations),
+        engines(results_dir, methods(found), runs, evaluations),
         ablations(results_dir, usual),
         arm_trials(results_dir),
     ]

@@ -11,7 +11,7 @@ from typing import Any, Final
 import pandas as pd
 
 from uarm_rl.report import figures, tables
-from uarm_rl.report.records import Method, Runs, command, lacking, read_evaluations
+from uarm_rl.report.records import Method, Runs, check_engines, command, lacking, read_evaluations
 from uarm_rl.report.tables import Section
 
 Evaluations = Mapping[str, pd.DataFrame]
@@ -35,6 +35,7 @@ def tolerance(results_dir: Path, methods: Sequence[Method], runs: Runs, standard
     """
     section = Section(remarks=_missing(results_dir, "tolerance curve", runs, _TOLERANCES))
     tests = [standard, *_tests(runs, "tolerance-*mm.csv")]
+    check_engines(*tests)
     table = pd.DataFrame(
         {"method": method.label, "tolerance_m": tolerance_m, **tables.success(rows)}
         for method in methods
@@ -53,6 +54,7 @@ def held_out(results_dir: Path, methods: Sequence[Method], runs: Runs, standard:
     section = Section(remarks=_missing(results_dir, "held-out positions", runs, _HELD_OUT))
     (file,) = _HELD_OUT
     held_out = read_evaluations(runs, file)
+    check_engines(standard, held_out)
     rows: list[dict[str, Any]] = [
         {"method": method.label, "positions": name, "count": evaluation["position"].nunique()}
         | tables.success(evaluation)
@@ -87,6 +89,7 @@ def holds(results_dir: Path, methods: Sequence[Method], runs: Runs, standard: Ev
     """holds.csv, .md and .png: every policy with the holds it was not trained with, from ``hold-<name>.csv``."""
     section = Section(remarks=_missing(results_dir, "train hold x test hold", runs, _HOLDS))
     tests = _tests(runs, "hold-*.csv")
+    check_engines(standard, *tests)
     table = pd.DataFrame(
         {"method": method.label, "trained_hold": _hold(standard[method.folder]), "tested_hold": tested, **tables.success(rows)}
         for method in methods

@@ -25,6 +25,7 @@ _HEADINGS: Final = (
     "Paper",
     *(row[0] for row in SHAKING.values()),
 )
+_LABELS: Final = {method.folder: method.label for method in METHODS}  # in the paper
 
 
 def table1(results_dir: Path, methods: Sequence[Method], runs: Runs, evaluations: Mapping[str, pd.DataFrame]) -> Section:
@@ -46,7 +47,7 @@ def _row(method: Method, rows: pd.DataFrame, paper: Mapping[str, float]) -> dict
         "buffer": method.buffer,
         "reward": method.reward,
         **tables.success(rows),
-        "paper_success_rate": paper.get(method.label, float("nan")),
+        "paper_success_rate": paper.get(_LABELS.get(method.folder, method.label), float("nan")),
         **rows[[*SHAKING]].mean(),
     }
 
