@@ -22,12 +22,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import gymnasium
+import mujoco
 import numpy as np
 import pybullet
 import stable_baselines3
@@ -38,11 +39,15 @@ import uarm_rl
 from uarm_rl import configuration
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure
+from uarm_rl.learn import checkpoint
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
+from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.replay import ReplayBuffer
-from uarm_rl.learn.run import Snapshot
-from uarm_rl.learn.train import Counters, Stop, train
+from uarm_rl.learn.train import Schedule, Stop, train
+from uarm_rl.sim.mujoco_arm import MujocoArm
+from uarm_rl.sim.simulated_arm import SimulatedArm
 from uarm_rl.task import observation, positions
+from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import InverseKinematicsPolicy
 
 HERE = Path(__file__).parent
@@ -158,7 +163,7 @@ def bench_update(rounds: int) -> Iterator[Row]:
         yield from compare(
             "one update against its products", "1/s", {name: rates[name] for name in ("ours", "floor")}, "> 0.56"
         )
-        policy = agent.policy({})
+        policy = agent.policy(configuration.policy_card(configuration.compose("train")))
         seen = np.random.default_rng(0).normal(0, 0.1, observation.SIZE).astype(np.float32)
         rates = alternate(
             rounds,
@@ -194,6 +199,42 @@ def bench_simulation(rounds: int) -> Iterator[Row]:
             yield from compare(f"simulated decisions, {buffer} ({per_decision:.1f} control steps each)", "1/s", rates)
 
 
+def bench_engines(rounds: int) -> Iterator[Row]:
+    """MuJoCo against PyBullet, each in a world of its own: the same rows on the way from a physics step to a training."""
+    with ExitStack() as stack:
+        settings = {engine: configuration.compose("train", (f"sim={engine}",)) for engine in ("mujoco", "pybullet")}
+        work: dict[str, dict[str, tuple[Callable[[], object], int]]] = {}
+        for engine, chosen in settings.items():
+            env = stack.enter_context(closing(configuration.build_env(chosen, time_limit_s=None)))
+            training = stack.enter_context(closing(OurTraining(chosen, InlineEnv)))
+            env.reset(seed=0)
+            work.setdefault("bare physics steps", {})[engine] = repeat(bare_step(env.arm), 2000)
+            work.setdefault("control steps", {})[engine] = repeat(env.arm.advance, 400)
+            work.setdefault("adaptive decisions", {})[engine] = repeat(random_decision(env), 60)
+            work.setdefault("training, adaptive", {})[engine] = (partial(training, 1), EPISODE)
+        for name, engines in work.items():
+            target = "> 2" if name == "adaptive decisions" else ""
+            yield from compare(f"MuJoCo: {name}", "1/s", alternate(rounds, **engines), target)
+
+
+def bare_step(arm: SimulatedArm) -> Callable[[], None]:
+    """One step of the engine alone, without a servo."""
+    if isinstance(arm, MujocoArm):
+        return partial(mujoco.mj_step, arm._model, arm._data)
+    return partial(pybullet.stepSimulation, physicsClientId=arm._client)
+
+
+def random_decision(env: UArmSuctionEnv) -> Callable[[], None]:
+    generator = np.random.default_rng(0)
+
+    def decide() -> None:
+        *_, terminated, truncated, _ = env.step(generator.uniform(-1, 1, 3).astype(np.float32))
+        if terminated or truncated:
+            env.reset()
+
+    return decide
+
+
 EPISODE = 200  # stored experiences, as in the paper
 
 
@@ -201,14 +242,18 @@ class OurTraining:
     """Trains for so many more episodes at each call; two are over, so that every experience has its update."""
 
     def __init__(self, settings: dict, env_class: type, seed: int = 0) -> None:
-        self.counters = Counters()
-        self._env = env_class(partial(configuration.build_env, settings, time_limit_s=None), seed)
-        self._agent = our_agent()
-        self._replay = ReplayBuffer(
-            300_000, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(seed)
+        agent = our_agent()
+        self.learner = Learner(
+            env=env_class(partial(configuration.build_env, settings, time_limit_s=None), seed),
+            agent=agent,
+            policy=agent.policy(configuration.policy_card(settings)),
+            replay=ReplayBuffer(
+                300_000, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(seed)
+            ),
+            admission=configuration.build("admission", settings["buffer"]["admission"]),
+            noise=configuration.build("noise", settings["noise"], action_size=3, generator=np.random.default_rng(seed)),
         )
-        self._noise = configuration.build("noise", settings["noise"], action_size=3, generator=np.random.default_rng(seed))
-        self._admission = configuration.build("admission", settings["buffer"]["admission"])
+        self.counters = self.learner.counters
         self(2)
 
     def __call__(self, episodes: int) -> None:
@@ -217,31 +262,26 @@ class OurTraining:
         def end_of_episode(row: dict[str, object]) -> None:
             stop.requested = self.counters.episode >= goal
 
-        train(
-            self._env,
-            self._agent,
-            self._agent.policy({}),
-            self._replay,
-            self._admission,
-            self._noise,
-            self.counters,
+        schedule = Schedule(
             episodes=1500,
             experiences_per_episode=EPISODE,
             max_decisions_per_episode=10 * EPISODE,
-            warmup_experiences=EPISODE,
             batch_size=BATCH,
-            end_of_episode=end_of_episode,
-            stop=stop,
+            warmup_experiences=EPISODE,
+            validate_every=1500,
+            checkpoint_every=1500,
         )
+        train(self.learner, schedule, lambda: None, end_of_episode, stop)
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> Callable[[], checkpoint.Checkpoint]:
         """What a checkpoint saves, with a replay buffer that is full."""
-        self._replay.added = self._replay.capacity
-        self.counters.updates = self._replay.added - EPISODE
-        return Snapshot(self._env, self._agent, self._replay, self._noise, self.counters, experiences_per_episode=EPISODE)
+        replay = self.learner.replay
+        replay.added = replay.capacity
+        self.counters.updates = replay.added - EPISODE
+        return self.learner.snapshot(EPISODE)
 
     def close(self) -> None:
-        self._env.close()
+        self.learner.env.close()
 
 
 def bench_training(rounds: int) -> Iterator[Row]:
@@ -368,7 +408,7 @@ def bench_checkpoints(rounds: int) -> Iterator[Row]:
         snapshot = training.snapshot()
         rates = alternate(
             rounds,
-            save=(partial(snapshot.write, Path(folder)), 1),
+            save=(lambda: checkpoint.write(Path(folder), snapshot()), 1),
             snapshot=(training.snapshot, 1),
             episode=(partial(training, 1), 1),
         )
@@ -431,6 +471,7 @@ def main() -> None:
     benches = {
         "bench_update": partial(bench_update, rounds),
         "bench_simulation": partial(bench_simulation, rounds),
+        "bench_engines": partial(bench_engines, rounds),
         "bench_training": partial(bench_training, max(2, rounds // 2)),
         "bench_side_by_side": partial(bench_side_by_side, max(1, rounds // 3), length),
         "bench_evaluation": partial(bench_evaluation, rounds),
