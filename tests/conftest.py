@@ -90,6 +90,19 @@ def make_env() -> Iterator[MakeEnv]:
             pass
 
 
+@pytest.fixture
+def without(tmp_path: Path) -> Callable[[str], dict[str, str]]:
+    """The environment of a process, and of those that it starts, in which a package cannot be imported."""
+
+    def hide(package: str) -> dict[str, str]:
+        folder = tmp_path / f"without-{package}"
+        folder.mkdir()
+        (folder / "sitecustomize.py").write_text(f"import sys; sys.modules[{package!r}] = None\n")
+        return {"PYTHONPATH": str(folder)}
+
+    return hide
+
+
 def uarm_rl(
     *words: str, cwd: Path, environment: dict[str, str] | None = None, timeout_s: float = 120
 ) -> subprocess.CompletedProcess[str]:

@@ -18,19 +18,6 @@ needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybul
 needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="mujoco is not installed")
 
 
-@pytest.fixture
-def without(tmp_path):
-    """The environment of a process, and of those that it starts, in which a package cannot be imported."""
-
-    def hide(package: str) -> dict[str, str]:
-        folder = tmp_path / f"without-{package}"
-        folder.mkdir()
-        (folder / "sitecustomize.py").write_text(f"import sys; sys.modules[{package!r}] = None\n")
-        return {"PYTHONPATH": str(folder)}
-
-    return hide
-
-
 def error(done: subprocess.CompletedProcess[str]) -> str:
     """The one sentence that a command failed with."""
     assert done.returncode != 0

@@ -18,6 +18,7 @@ COMMANDS: Final = (
     "evaluate",
     "report",
     "render",
+    "export-model",
     "run-real",
     "jog",
     "doctor",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import sys
+from collections import Counter
 from ctypes.util import find_library
-from importlib import resources
 from typing import Any, Final
 
 import numpy as np
@@ -21,9 +21,12 @@ from uarm_rl.sim.simulated_arm import (
     TABLE_CENTRE_M,
     TABLE_COLOUR,
     TABLE_HALF_EXTENTS_M,
+    TORQUES_NM,
     ObjectPose,
     SimulatedArm,
+    urdf,
 )
+from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
 from uarm_rl.task.kinematics import Vector
 
@@ -42,7 +45,7 @@ if mujoco.get_mju_user_warning() is None:
     # What it would write to a file in the current folder, an explosion, is an exception here.
     mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
 
-__all__ = ["MujocoArm"]
+__all__ = ["MujocoArm", "mjcf"]
 
 _OLDEST: Final = (3, 8)
 _JOINTS: Final = ("joint1", "joint2", "joint3", "joint4")
@@ -56,10 +59,37 @@ _MOTOR_SOFTNESS: Final = 0.01  # of what this leaves, with which the arm sags by
 
 def read_model() -> Any:
     """The arm as MuJoCo reads it from its URDF, an ``MjSpec``; a site ``cup`` is the tip of the lip."""
-    with resources.as_file(resources.files("uarm_rl.sim") / "assets") as assets:
-        spec = mujoco.MjSpec.from_file(str(assets / "uarm_swift_pro.urdf"))
+    spec = mujoco.MjSpec.from_file(str(urdf()))
     spec.body("cup").add_site(name="cup")
     return spec
+
+
+def mjcf() -> str:
+    """The arm of :func:`read_model` as MJCF, with what a URDF cannot say.
+
+    Motors give torques (N m) to joint1, joint2 and joint3. joint4 has none, because the arm's rods keep the cup upright: the
+    tendon ``level``, joint2 + joint3 + joint4, is held at zero. The tendon ``forearm``, joint2 + joint3, has the coupled limit.
+    The key ``home`` is the vendor's reset pose. Shapes of the arm touch others, not each other.
+    """
+    spec = read_model()
+    named: Counter[str] = Counter()
+    for geom in spec.geoms:
+        name = f"{geom.parent.name.replace('world', 'base')}_{'collision' if geom.contype else 'visual'}"
+        named[name] += 1
+        geom.name, geom.conaffinity = f"{name}{named[name]}", 0
+    for name, torque_nm in zip(_JOINTS[:3], TORQUES_NM[:3], strict=True):
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=(-torque_nm, torque_nm))
+        motor.set_to_motor()
+    forearm, level = spec.add_tendon(name="forearm", range=kinematics.FOREARM_LIMITS_RAD), spec.add_tendon(name="level")
+    for tendon, joints in ((forearm, ("joint2", "joint3")), (level, ("joint2", "joint3", "joint4"))):
+        for joint in joints:
+            tendon.wrap_joint(joint, 1.0)
+    spec.add_equality(name="level", name1="level", type=mujoco.mjtEq.mjEQ_TENDON)
+    joint1, joint2, joint3 = kinematics.HOME_JOINTS_RAD.tolist()
+    spec.add_key(name="home", qpos=(joint1, joint2, joint3, kinematics.level(joint2, joint3)))
+    spec.compile()
+    text: str = spec.to_xml()
+    return text
 
 
 def _touches(geom: Any) -> tuple[int, int]:

@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from uarm_rl.sim.simulated_arm import (
     TABLE_HALF_EXTENTS_M,
     ObjectPose,
     SimulatedArm,
+    urdf,
 )
 from uarm_rl.task.arm import JointPositions
 from uarm_rl.task.kinematics import Vector
@@ -104,8 +104,7 @@ class SimArm(SimulatedArm):
         # PyBullet makes a hull of a cylinder, which stands 1 mm proud of it; the published runs have the hull.
         self._cup_flags = bullet.URDF_USE_IMPLICIT_CYLINDER if exact_cup else 0
         self._client = self._connect(gui)
-        with resources.as_file(resources.files("uarm_rl.sim") / "assets") as assets:
-            self._urdf = str(assets / "uarm_swift_pro.urdf")
+        self._urdf = str(urdf())
         self._arm = self._object = self._table = -1
         self.home()
 

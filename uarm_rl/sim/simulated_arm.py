@@ -8,6 +8,8 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import partial
+from importlib import resources
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple
 
@@ -36,6 +38,12 @@ _SLACK_RAD = 0.1  # contact may push a joint past its limit by a little, never b
 _EXPLODED_RAD_S = 1e3
 _RESTING_M = 1e-3  # a position may be so far from what an object that lies on the table has
 _LOST_TILT = math.cos(math.radians(30.0))
+
+
+def urdf() -> Path:
+    """The arm as both engines read it: joints, limits, masses, and boxes and cylinders as shapes; it needs no other file."""
+    with resources.as_file(resources.files("uarm_rl.sim") / "assets") as assets:
+        return assets / "uarm_swift_pro.urdf"
 
 
 class Camera(NamedTuple):
