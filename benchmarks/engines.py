@@ -22,7 +22,6 @@ from uarm_rl import configuration
 from uarm_rl.columns import TRAJECTORIES
 from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.measures import Row
-from uarm_rl.sim.engines import loaders
 from uarm_rl.sim.simulated_arm import SimulatedArm
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import JointPositions
@@ -84,7 +83,7 @@ def main() -> None:
     rows: list[Row] = []
     with ExitStack() as stack:
         arms = []
-        for engine in loaders():
+        for engine in configuration.OPEN_SETS["sim"]:
             sim = configuration.compose("train", (f"sim={engine}",))["sim"]
             servo = configuration.build("servo", settings["servo"])
             arms.append(stack.enter_context(configuration.build("sim", sim, servo=servo, control_hz=settings["control_hz"])))

@@ -91,6 +91,32 @@ def path(name: str, value: object) -> Path:
     return Path(text(name, value))
 
 
+def like(name: str, value: object, example: object) -> None:
+    """Raises :class:`ValueError` with a sentence unless ``value`` is of the kind of the ``example`` that a configuration has.
+
+    True or false, a number, a text, a group of settings, or a list of the same; ``None`` and ``"???"`` (which is to be given)
+    say nothing.
+    """
+    if example == "???":
+        return
+    if isinstance(example, Mapping):
+        given = mapping(name, value)
+        for key in given.keys() & example.keys():
+            like(f"{name}.{key}" if name else key, given[key], example[key])
+    elif isinstance(example, bool):
+        boolean(name, value)
+    elif isinstance(example, (int, float)):
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f"{name} must be a {'whole ' * isinstance(example, int)}number, got {_shown(value)}")
+    elif isinstance(example, str):
+        text(name, value)
+    elif isinstance(example, list):
+        if not isinstance(value, list) or len(value) < min(1, len(example)):
+            raise ValueError(f"{name} must be a list, as in {name}={str(example).replace(' ', '')}, got {_shown(value)}")
+        for one in value if example else ():
+            like(f"each of {name}", one, example[0])
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The known word that is nearest to one that does not exist, as the end of a sentence; empty if none is near."""
     near = difflib.get_close_matches(word, list(known), n=1)

@@ -10,9 +10,9 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import cache, partial
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -32,69 +32,29 @@ Settings = dict[str, Any]
 
 # The open sets
 
-
-def _holds() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.task.hold import FixedHold, UntilSteady
-
-    return {"fixed": FixedHold, "until_steady": UntilSteady}
-
-
-def _admissions() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.learn.admission import AdmitAll, NotStuck
-
-    return {"all": AdmitAll, "not_stuck": NotStuck}
-
-
-def _rewards() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.task.reward import DistanceReward
-
-    return {"plain": DistanceReward, "penalty": DistanceReward}
-
-
-def _noises() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.learn.noise import OrnsteinUhlenbeck
-
-    return {"ornstein_uhlenbeck": OrnsteinUhlenbeck}
-
-
-def _servos() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.sim.servo import Instant, SecondOrder, Stepper
-
-    return {"second_order": SecondOrder, "stepper": Stepper, "instant": Instant}
-
-
-def _agents() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.learn.ddpg import DDPG
-
-    return {"ddpg": DDPG}
-
-
-def _cameras() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.real.vision.camera import OpenMVCamera, StillImages, Webcam
-
-    def file(path: str) -> StillImages:
-        return StillImages(Path(path))
-
-    return {"openmv": OpenMVCamera, "webcam": Webcam, "file": file, "none": nullcontext}
-
-
-def _detectors() -> dict[str, Callable[..., Any]]:
-    from uarm_rl.real.vision.detection import ColourDetector, MarkerDetector
-
-    return {"colour": ColourDetector, "marker": MarkerDetector}
-
-
-#: The open sets: configuration group -> its classes by name. Functions, so that a command imports only what it uses.
+#: Configuration group -> its classes by name. Texts, so that a command imports only what it uses.
 OPEN_SETS: Final = {
-    "hold": _holds,
-    "admission": _admissions,
-    "reward": _rewards,
-    "noise": _noises,
-    "servo": _servos,
-    "sim": engines.loaders,
-    "agent": _agents,
-    "camera": _cameras,
-    "detector": _detectors,
+    "hold": {"fixed": "uarm_rl.task.hold:FixedHold", "until_steady": "uarm_rl.task.hold:UntilSteady"},
+    "admission": {"all": "uarm_rl.learn.admission:AdmitAll", "not_stuck": "uarm_rl.learn.admission:NotStuck"},
+    "reward": {"plain": "uarm_rl.task.reward:DistanceReward", "penalty": "uarm_rl.task.reward:DistanceReward"},
+    "noise": {"ornstein_uhlenbeck": "uarm_rl.learn.noise:OrnsteinUhlenbeck"},
+    "servo": {
+        "second_order": "uarm_rl.sim.servo:SecondOrder",
+        "stepper": "uarm_rl.sim.servo:Stepper",
+        "instant": "uarm_rl.sim.servo:Instant",
+    },
+    "sim": {"pybullet": "uarm_rl.sim.pybullet_arm:SimArm", "mujoco": "uarm_rl.sim.mujoco_arm:MujocoArm"},
+    "agent": {"ddpg": "uarm_rl.learn.ddpg:DDPG"},
+    "camera": {
+        "openmv": "uarm_rl.real.vision.camera:OpenMVCamera",
+        "webcam": "uarm_rl.real.vision.camera:Webcam",
+        "file": "uarm_rl.real.vision.camera:StillImages",
+        "none": "contextlib:nullcontext",
+    },
+    "detector": {
+        "colour": "uarm_rl.real.vision.detection:ColourDetector",
+        "marker": "uarm_rl.real.vision.detection:MarkerDetector",
+    },
 }
 
 
@@ -103,12 +63,13 @@ def build(group: str, settings: Mapping[str, Any], **runtime: Any) -> Any:
 
     Raises :class:`ValueError` with a sentence for a name or a key that does not exist, or a value out of range.
     """
-    classes = OPEN_SETS[group]()
+    classes = OPEN_SETS[group]
     arguments = checks.mapping(group, settings)
     name = arguments.pop("name", None)
     if not isinstance(name, str) or name not in classes:
-        raise ValueError(f"{group} has no {name!r}; choose one of {', '.join(classes)}")
-    make = classes[name]() if group == "sim" else classes[name]
+        raise ValueError(f"{group}.name must be one of {', '.join(classes)}, got {name!r:.60}")
+    module, _, made = classes[name].partition(":")
+    make = getattr(import_module(module), made)
     check_keys(f"{group}={name}", make, arguments, given=runtime)
     return make(**arguments, **runtime)
 
@@ -192,7 +153,7 @@ def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = F
     """The configuration of a command as a plain dict, with ``overrides`` as on the command line.
 
     Raises :class:`UsageError` for an override that cannot be read or names nothing, and for a value that is missing, unless
-    ``incomplete``: then it is ``"???"``.
+    ``incomplete``: then it is ``"???"``; and :class:`ValueError` for a value of another kind than the configuration files have.
     """
     import hydra
     from hydra.errors import HydraException
@@ -212,9 +173,17 @@ def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = F
         settings = plain(cfg, incomplete=incomplete)
     except (HydraException, OmegaConfBaseException) as error:
         raise UsageError(_sentence(" ".join(str(error).split()), command)) from error
+    if values := [override for override in overrides if not choices(override.partition("=")[0].partition("@")[0])]:
+        checks.like("", settings, _usual(command, tuple(override for override in overrides if override not in values)))
     if chosen == "auto" and settings["sim"]["name"] != "pybullet" and not incomplete:
         engines.tell()
     return settings
+
+
+@cache
+def _usual(command: str, groups: tuple[str, ...]) -> Settings:
+    """What a command's configuration is with these choices of groups."""
+    return compose(command, groups, incomplete=True)
 
 
 def groups_of(command: str) -> dict[str, list[str]]:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import re
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import closing
+from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 
 from tests.hostile import files, play, words
-from uarm_rl import configuration
+from uarm_rl import checks, cli, configuration
 from uarm_rl.checks import UsageError
+from uarm_rl.commands import COMMANDS
 
 
 def test_a_sample_of_hostile_input_runs_nothing_and_writes_nowhere():
@@ -58,3 +64,70 @@ def test_a_hostile_value_in_a_run_is_refused_or_does_no_harm(tmp_path):
             harmless += 1
         place[key] = kept
     assert refused > 8 * harmless > 0
+
+
+#: Of every kind a configuration has; what is not among a key's own kind is refused before anything is opened or made.
+KINDS = {
+    bool: (True,),
+    float: (1.5, 1e308),
+    str: ("abc", "1.5"),
+    list: ([1.5], [["abc"]]),
+    dict: ({"a": 1},),
+    type(None): (None,),
+}
+
+
+def kind(value: object) -> type:
+    return float if type(value) is int else type(value)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_setting_of_every_command_refuses_another_kind_by_name(command):
+    groups = {name: choices for name, choices in configuration.groups_of(command).items() if name != "experiment"}
+    composed = [configuration.compose(command, incomplete=True)]
+    composed += [configuration.compose(command, (f"{name}={one}",), incomplete=True) for name in groups for one in groups[name]]
+    for settings in composed:
+        for name, usual in every_setting(settings, ""):
+            if usual in (None, "???", [], {}):
+                continue
+            for wrong in [value for of, values in KINDS.items() if of is not kind(usual) for value in values]:
+                changed = copy.deepcopy(settings)
+                inner = changed
+                *path, last = name.split(".")
+                for part in path:
+                    inner = inner[part]
+                inner[last] = wrong
+                with pytest.raises(ValueError, match=re.escape(name)):
+                    checks.like("", changed, settings)
+
+
+def every_setting(settings: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Settings and groups by their dotted names."""
+    for key, value in settings.items():
+        yield f"{prefix}{key}", value
+        if isinstance(value, dict):
+            yield from every_setting(value, f"{prefix}{key}.")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("train", "agent.hidden=64"), "agent.hidden must be a list, as in agent.hidden=[400,300], got 64"),
+        (("train", "agent.hidden=[]"), "agent.hidden must be a list, as in agent.hidden=[400,300], got []"),
+        (("train", "agent.hidden=[64,abc]"), "each of agent.hidden must be a whole number, got 'abc'"),
+        (("train", "time_limit_s=null"), "time_limit_s must be a number, got None"),
+        (("train", "servo=5"), "there is no servo=5; servo is one of instant, second_order, stepper"),
+        (("train", "sim.name=box"), "sim.name must be one of pybullet, mujoco, got 'box'"),
+        (("doctor", "calibration=3"), "calibration must be a text, got 3"),
+        (("doctor", "policy=null"), "policy must be a text, got None"),
+        (("emulate", "colour=red"), "colour must be a list, as in colour=[217,38,26], got 'red'"),
+        (("run-real", "resume=7", "dry_run=true"), "resume must be true or false, got 7"),
+        (("report", "results_dir=[1]"), "results_dir must be a text, got [1]"),
+    ],
+)
+def test_what_is_refused_is_told_in_one_sentence_and_leaves_nothing(words, sentence, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        cli.main(words)
+    assert (end.value.code, capsys.readouterr().err) == (2, f"error: {sentence}\n")
+    assert list(tmp_path.iterdir()) == []

@@ -260,8 +260,9 @@ def _agree(picture: Picture, other: Picture) -> bool:
 class Webcam:
     """A camera that OpenCV can open, by its number or by the path of its device (or of a film), at a fixed picture size."""
 
-    def __init__(self, index: int | str = 0, *, width: int = 640, height: int = 480) -> None:
+    def __init__(self, index: int | str | None = None, *, width: int = 640, height: int = 480) -> None:
         width, height = checks.integer("width", width, low=16), checks.integer("height", height, low=16)
+        index = 0 if index is None else index
         self.name = f"webcam {index}"
         level = cv2.utils.logging.setLogLevel(_LOG_ERRORS)  # a missing camera is explained better below
         self._capture = cv2.VideoCapture(index)
@@ -308,7 +309,8 @@ class Webcam:
 class StillImages:
     """A picture file, again and again, or the pictures of a folder, one after another in the order of their names."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: str | Path) -> None:
+        path = Path(path)
         self.name = f"the pictures in {path}"
         self._repeat = not path.is_dir()
         self._paths = [path] if self._repeat else picture_files(path)
