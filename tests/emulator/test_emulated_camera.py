@@ -17,7 +17,6 @@ from tests.drawing import base_to_pixel
 from tests.emulator.test_physics import configured
 from uarm_rl import configuration
 from uarm_rl.emulator.camera import SnapCamera
-from uarm_rl.emulator.emulate import Workplace
 from uarm_rl.emulator.faults import CameraFault
 from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.pty import PtyServer
@@ -25,6 +24,7 @@ from uarm_rl.real.vision.camera import OpenMVCamera
 from uarm_rl.real.vision.camera_model import nominal
 from uarm_rl.task import kinematics
 
+Workplace = pytest.importorskip("uarm_rl.emulator.emulate").Workplace  # which needs PyBullet
 TOP_M = (0.25, 0.03, 0.03)
 HALF_M = 0.015
 PHOTO_MM = (200, 0, 160)

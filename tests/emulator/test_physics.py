@@ -20,18 +20,18 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from uarm_rl import configuration
-from uarm_rl.emulator.emulate import Workplace, emulate
 from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
-from uarm_rl.emulator.physics import CUP_RADIUS_M, World
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.real.ports import camera_beside, is_emulated
 from uarm_rl.task import kinematics, positions
 
+emulate = pytest.importorskip("uarm_rl.emulator.emulate")  # which needs PyBullet
+physics = pytest.importorskip("uarm_rl.emulator.physics")
 SIM = {key: value for key, value in configuration.compose("emulate")["sim"].items() if key != "name"}
 TICK_S = 1.0 / 240.0
 TOP_M = (0.25, 0.03, 0.03)
-INSIDE_M = SIM["object_size_m"] / 2.0 - CUP_RADIUS_M  # the lip is all on the object
+INSIDE_M = SIM["object_size_m"] / 2.0 - physics.CUP_RADIUS_M  # the lip is all on the object
 
 
 @functools.cache
@@ -52,7 +52,7 @@ def configured(*overrides):
     return values
 
 
-class Driven(World):
+class Driven(physics.World):
     """A world whose motors a test turns."""
 
     def __init__(self, *places, **keywords):
@@ -294,11 +294,11 @@ def test_an_object_out_of_reach_is_put_back():
 def test_places_are_reachable_and_repeat_with_the_seed():
     found = []
     for seed in (0, 0, 1):
-        with Workplace(**configured(f"seed={seed}")) as place:
+        with emulate.Workplace(**configured(f"seed={seed}")) as place:
             found.append(place.world.object_position())
     assert found[0] == found[1] != found[2]
     assert all(positions.in_operating_range(np.array(top_m)) for top_m in found)
-    with Workplace(**configured("nearest_m=0.3")) as place:
+    with emulate.Workplace(**configured("nearest_m=0.3")) as place:
         assert math.hypot(*place.world.object_position()[:2]) >= 0.3
 
 
@@ -307,7 +307,7 @@ def test_places_are_reachable_and_repeat_with_the_seed():
 
 def test_imperfections_reach_firmware_and_world():
     realism = ("realism.joint_offset_deg=1", "realism.backlash_deg=0.5", "realism.serial_latency_s=0.1")
-    with Workplace(**configured(*realism)) as place:
+    with emulate.Workplace(**configured(*realism)) as place:
         place.firmware.advance(3.0)
         place.firmware.advance(3.0, b"#1 P2200\n")
         assert place.firmware.advance(3.13) == b""
@@ -448,13 +448,13 @@ def test_bad_values_are_refused_in_a_sentence_before_anything_is_printed(overrid
     values = configuration.compose("emulate", (override,))
     values.pop("results_dir")
     with pytest.raises(ValueError, match=sentence):
-        emulate(**values)
+        emulate.emulate(**values)
     assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("name", ["V4.10", 4.1, "4.10.0", "V4.5", 3.2])
 def test_firmware_versions(name):
-    with Workplace(**(configured() | {"firmware": name})) as place:
+    with emulate.Workplace(**(configured() | {"firmware": name})) as place:
         place.firmware.advance(10.0)
         place.firmware.advance(10.0, b"P2203\n")
         assert place.firmware.advance(10.1).decode().strip() in ("ok V4.10.0", "ok V4.5.0", "ok V3.2.0")

@@ -13,7 +13,6 @@ from tests.bench import PLACE, TASK, Bench, Workbench, judge
 from uarm_rl import configuration
 from uarm_rl.columns import TRIALS
 from uarm_rl.commands.run_real import rehearse
-from uarm_rl.emulator.emulate import Workplace
 from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.realism import Settings
@@ -220,7 +219,8 @@ def test_every_place_can_be_reached_lifted_and_left():
 
 def workplace(*overrides):
     settings = configuration.compose("emulate", overrides)
-    return Workplace(**{key: value for key, value in settings.items() if key not in ("results_dir", "speed")})
+    emulate = pytest.importorskip("uarm_rl.emulator.emulate")  # which needs PyBullet
+    return emulate.Workplace(**{key: value for key, value in settings.items() if key not in ("results_dir", "speed")})
 
 
 def look_for_it(place, detector=None, whole_object=True):

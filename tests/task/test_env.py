@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from uarm_rl.columns import STATE
-from uarm_rl.sim.pybullet_arm import bullet
 from uarm_rl.task import kinematics, observation
 from uarm_rl.task.policy import InverseKinematicsPolicy
 from uarm_rl.task.reward import DistanceReward
@@ -160,7 +159,8 @@ def test_pictures(make_env):
 @pytest.mark.parametrize("jump", [float("nan"), 5.0])
 def test_a_world_that_jumps_in_its_last_physics_step_is_seen_at_once(make_env, monkeypatch, jump):
     """The engine itself is made to jump, behind the last look that the servo takes."""
-    env = make_env("buffer=uniform", time_limit_s=None)
+    bullet = pytest.importorskip("uarm_rl.sim.pybullet_arm").bullet
+    env = make_env("sim=pybullet", "buffer=uniform", time_limit_s=None)
     env.reset(seed=0)
     arm, steps = env.arm, 0
     step_simulation = bullet.stepSimulation
