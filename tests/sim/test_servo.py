@@ -124,6 +124,6 @@ def test_a_second_command_queues_or_replaces(engine, queue):
     ],
 )
 def test_bad_values_are_refused_in_a_sentence(servo, override, sentence):
-    settings = configuration.compose("train", (f"servo={servo}", override))
     with pytest.raises(ValueError, match=sentence):
+        settings = configuration.compose("train", (f"servo={servo}", override))
         configuration.build("servo", settings["servo"])

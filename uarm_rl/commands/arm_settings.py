@@ -36,6 +36,12 @@ def open_camera(settings: Settings) -> Any:
     return build("camera", camera)
 
 
+def motion(settings: Settings) -> dict[str, Any]:
+    """Limits, feed and speed of an arm that a command moves; :class:`ValueError` with a sentence before a port is opened."""
+    feed = checks.number("feed", settings["feed"], low=0.1, high=250.0)
+    return {"limits": limits(settings["limits"]), "feed": feed, "speed": checks.number("speed", settings["speed"], low=0.1)}
+
+
 def limits(settings: Mapping[str, Any]) -> Limits:
     """The audit's limits from a configuration; :class:`ValueError` with a sentence for values that cannot be used."""
     pairs = {}

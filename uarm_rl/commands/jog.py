@@ -11,7 +11,7 @@ import math
 from typing import Final
 
 from uarm_rl import checks, signals
-from uarm_rl.commands.arm_settings import limits
+from uarm_rl.commands.arm_settings import motion
 from uarm_rl.configuration import Settings
 from uarm_rl.real import session
 
@@ -30,8 +30,8 @@ def run(settings: Settings) -> None:
     """Move one joint of the real arm by some degrees, and tell what happened."""
     joint = checks.integer("joint", settings["joint"], low=1, high=3)
     degrees = checks.number("degrees", settings["degrees"], low=-_MOST_DEG, high=_MOST_DEG)
-    arm_settings = {"limits": limits(settings["limits"]), "feed": settings["feed"], "speed": settings["speed"]}
-    with signals.interrupt_once(), session.connect(settings["port"], parks=False, **arm_settings) as arm:  # that moves far
+    how = motion(settings)
+    with signals.interrupt_once(), session.connect(settings["port"], parks=False, **how) as arm:  # parking moves far
         before = arm.read_joints()
         wanted = list(before)
         wanted[joint - 1] += math.radians(degrees)

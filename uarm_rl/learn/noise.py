@@ -30,8 +30,8 @@ class OrnsteinUhlenbeck:
     ) -> None:
         self._keep = 1.0 - checks.number("noise.theta", theta, low=0.0, high=1.0, open_low=True)
         self._innovation = (1.0 - self._keep**2) ** 0.5
-        self._initial = checks.number("noise.initial_amplitude", initial_amplitude, low=0.0)
-        self._final = checks.number("noise.final_amplitude", final_amplitude, low=0.0)
+        self._initial = checks.number("noise.initial_amplitude", initial_amplitude, low=0.0, high=10.0)
+        self._final = checks.number("noise.final_amplitude", final_amplitude, low=0.0, high=10.0)
         self._decay = checks.number("noise.decay_fraction", decay_fraction, low=0.0, high=1.0, open_low=True)
         self._generator = generator
         self._value: NDArray[np.float64] = np.zeros(action_size)

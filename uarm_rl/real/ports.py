@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import serial
 from serial.tools import list_ports
 
+from uarm_rl import checks
 from uarm_rl.task.arm import ArmError
 
 try:
@@ -98,6 +99,7 @@ def named_port(device: Device, name: str | None) -> str:
     """``name``, or that of the one port with such a device. Raises :class:`PortError` if there is none, and opens nothing."""
     if name is None:
         return find_port(device)
+    checks.text("port", name)
     if name.startswith("/") and not os.path.exists(name):
         raise PortError(_missing(device, name))
     return name

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from uarm_rl import checks
+
+_LARGEST: Final = 1e4  # a weight; beyond it float32 has no room for the rest
 
 
 @dataclass(frozen=True)
@@ -39,11 +42,11 @@ class DistanceReward:
     beta_d: float
 
     def __post_init__(self) -> None:
-        checks.number("reward.alpha", self.alpha, low=0.0, open_low=True)
-        checks.number("reward.beta", self.beta, low=0.0)
-        checks.number("reward.sigma", self.sigma, high=0.0)
-        checks.number("reward.alpha_d", self.alpha_d, high=0.0)
-        checks.number("reward.beta_d", self.beta_d, high=0.0)
+        checks.number("reward.alpha", self.alpha, low=0.0, high=_LARGEST, open_low=True)
+        checks.number("reward.beta", self.beta, low=0.0, high=_LARGEST)
+        checks.number("reward.sigma", self.sigma, low=-_LARGEST, high=0.0)
+        checks.number("reward.alpha_d", self.alpha_d, low=-_LARGEST, high=0.0)
+        checks.number("reward.beta_d", self.beta_d, low=-_LARGEST, high=0.0)
 
     def distance_reward(self, cup_m: Sequence[float], object_m: Sequence[float]) -> float:
         """r_d of one state."""
