@@ -276,6 +276,12 @@ def test_a_folder_that_takes_no_files_is_named(tmp_path):
     assert_refused(uarm_rl("train", *QUICK, "results_dir=/proc/results", cwd=tmp_path), 1, "/proc/results")
     done = uarm_rl("evaluate", "policy=ik", "results_dir=/proc/results", cwd=tmp_path)
     assert_refused(done, 1, "/proc/results", "check the path")
+    assert "position" not in done.stderr  # before any work
+
+
+def test_a_film_that_has_no_place_is_not_begun(copied):
+    words = ("render", "run=results/uniform-plain/seed0", "out=/proc/a.gif", "episodes=100000")
+    assert_refused(uarm_rl(*words, cwd=copied), 1, "/proc/a.gif:", "check the path")
 
 
 def test_a_finished_run_is_refused_and_kept(trained):

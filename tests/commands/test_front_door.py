@@ -90,9 +90,10 @@ def test_no_home_and_no_temporary_folder_are_needed(tmp_path):
 
 
 def test_a_name_in_any_alphabet(tmp_path):
-    done = uarm_rl("train", "name=Ümlaut", *QUICK, cwd=tmp_path)
+    done = uarm_rl("train", "name=zwei Ümlaute", *QUICK, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "results" / "Ümlaut" / "seed0" / "policy.safetensors").exists()
+    assert (tmp_path / "results" / "zwei Ümlaute" / "seed0" / "policy.safetensors").exists()
+    assert done.stdout.endswith("uarm-rl evaluate run='results/zwei Ümlaute/seed0'\n")
 
 
 def test_a_finished_run_leaves_nothing_that_only_a_training_needs(tmp_path):

@@ -109,7 +109,7 @@ def test_trials_on_a_terminal(run, served, tmp_path):
     before = (folder / "trials.csv").read_bytes()
     heard = len(firmware.heard)
     code, _, error = run("run-real", "--port", server.path, "--target", 0.2, 0.05, 0.03, *FAST)
-    assert (code, "overwrite=true replaces them" in error) == (2, True)
+    assert (code, "out=FOLDER writes elsewhere" in error) == (2, True)
     assert ((folder / "trials.csv").read_bytes(), len(firmware.heard)) == (before, heard)
 
 

@@ -88,11 +88,12 @@ def test_rewards_of_positions_without_order_are_not_joined(figure):
     assert "haste, not success" in figure.axes[0].get_title()
 
 
-def test_the_words_beside_the_rewards_of_one_run_fit_into_the_picture():
+@pytest.mark.parametrize("label", [METHODS[0].label, "real_arm12"])  # a long one leaves the panels little room
+def test_the_words_beside_the_rewards_of_one_run_fit_into_the_picture(label):
     drawn = []
 
     def draw(figure: Figure) -> None:
-        figures.draw_rewards(figure, METHODS[:1], curves("position", "common_return", "return"))
+        figures.draw_rewards(figure, [METHODS[0]._replace(label=label)], curves("position", "common_return", "return"))
         drawn.append(figure)
 
     figures.picture(draw, 2.0)
@@ -110,6 +111,14 @@ def test_learning_curves_name_their_axis_and_their_band(figure):
     assert (below.get_yscale(), "symlog" in below.get_ylabel()) == ("symlog", True)
     assert "band: their range" in below.get_xlabel()
     assert len({line.get_linestyle() for line in above.get_lines()}) == len(METHODS) == len(above.collections)
+
+
+def test_a_run_that_has_not_learned_yet_has_a_budget_of_nothing_and_no_warning(recwarn):
+    budgets = dict.fromkeys(("experiences", "updates", "decisions", "simulated_s"), "words")
+    curve = curves("experiences", "rate")[METHODS[0].folder].assign(updates=0, decisions=1, simulated_s=1)
+    drawn = {METHODS[0].folder: curve}
+    picture = figures.picture(lambda figure: figures.draw_budgets(figure, METHODS[:1], drawn, "rate", budgets))
+    assert (len(picture) > 0, len(recwarn)) == (True, 0)
 
 
 def test_kinds_of_run_are_told_apart_without_colour_and_count_their_seeds(figure):

@@ -17,7 +17,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from uarm_rl import checks, columns, csvfile, workers
+from uarm_rl import checks, columns, csvfile, files, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose, in_engine, load_policy, read_run
 from uarm_rl.csvfile import write_rows
@@ -104,7 +104,8 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     if out.is_dir():
         raise UsageError(f"{out} is a folder; name the file of the evaluation with out=FILE.csv")
     if not _is_due(settings, out):
-        raise UsageError(f"{out} exists already; out=FILE writes elsewhere, overwrite=true replaces it")
+        raise UsageError(f"{out} exists already; out=FILE writes elsewhere")
+    files.check_place(out)
     run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}

@@ -121,10 +121,7 @@ def _begun(folder: Path, settings: Settings) -> list[Row]:
     if overwrite or not (folder / session.TRIALS).exists():
         return []
     if not resume:
-        raise UsageError(
-            f"{folder} holds trials already; resume=true goes on with them, overwrite=true replaces them, out=FOLDER writes "
-            "elsewhere"
-        )
+        raise UsageError(f"{folder} holds trials already; resume=true goes on with them, out=FOLDER writes elsewhere")
     before = read_yaml(folder / CONFIG)
     same = {key: value for key, value in settings.items() if key not in _INCIDENTAL}
     if changed := checks.differences({key: before.get(key) for key in same}, same):

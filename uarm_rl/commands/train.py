@@ -9,6 +9,7 @@ Examples:
 from __future__ import annotations
 
 import re
+import shlex
 from contextlib import ExitStack, closing
 from functools import partial
 from importlib.util import find_spec
@@ -71,7 +72,7 @@ def run(settings: Settings) -> None:
             tensorboard=settings["tensorboard"],
         )
     if finished:
-        print(f"trained: {run_dir}; test it with: uarm-rl evaluate run={run_dir}")
+        print(f"trained: {run_dir}; test it with: uarm-rl evaluate run={shlex.quote(str(run_dir))}")
     else:
         print(f"stopped: {run_dir}; the same command with resume=true continues it")
         raise SystemExit(130)

@@ -71,7 +71,7 @@ def claim(
                     "resume=true a multirun skips it"
                 )
             raise RunFolderError(
-                f"{run_dir} already holds an unfinished run; resume=true continues it, overwrite=true deletes it, "
+                f"{run_dir} already holds an unfinished run; resume=true continues it, "
                 "results_dir=FOLDER or name=NAME puts another elsewhere"
             )
         elif (run_dir / CONFIG).exists():

@@ -76,7 +76,7 @@ def draw_rewards(figure: Figure, methods: Sequence[Method], curves: Mapping[str,
             axes.axhline(curve[f"{value}_mean"].mean(), color="black", linewidth=0.6, linestyle="--")
         row[0].set_ylabel(method.label, rotation=0, weight="bold", ha="right", va="center")
     grid[0, 0].set_title("same reward for all, a\nsum over control steps:\nhaste, not success")
-    grid[0, 1].set_title("method's own reward,\na sum over its decisions")
+    grid[0, 1].set_title("method's own reward,\na sum over\nits decisions")
     figure.supxlabel("Test position (number)\npoint: mean of seeds, bar: their range, dashed: mean over positions")
     figure.supylabel("Return (sum of rewards, no unit)")
 
@@ -139,7 +139,8 @@ def draw_budgets(
     grid = figure.subplots(2, 2, sharey=True).flat
     for axes, (budget, words) in zip(grid, budgets.items(), strict=True):
         for method in methods:
-            _draw(axes, method, curves[method.folder], budget, rate)
+            curve = curves[method.folder]
+            _draw(axes, method, curve[curve[budget] > 0], budget, rate)  # a run in its warm-up has made no gradient step yet
         axes.set(xlabel=words, xscale="log")
         _success_axis(axes, "")
     figure.supylabel("Success on validation positions (%)")
