@@ -49,11 +49,11 @@ CARD = PolicyCard(
     seed=0,
 )
 
-#: What is tested on every engine is skipped where one is not installed.
-ENGINES = [
-    pytest.param(name, marks=pytest.mark.skipif(find_spec(name) is None, reason=f"{name} is not installed"))
-    for name in ("pybullet", "mujoco")
-]
+#: What is tested in one engine or in every is skipped where it is not installed.
+needs_pybullet, needs_mujoco = (
+    pytest.mark.skipif(find_spec(name) is None, reason=f"{name} is not installed") for name in ("pybullet", "mujoco")
+)
+ENGINES = [pytest.param("pybullet", marks=needs_pybullet), pytest.param("mujoco", marks=needs_mujoco)]
 
 MakeEnv = Callable[..., UArmSuctionEnv]
 

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib.util import find_spec
 
 import pytest
 import yaml
 
-from tests.conftest import FAST, uarm_rl
+from tests.conftest import FAST, needs_mujoco, needs_pybullet, uarm_rl
 from uarm_rl import configuration
 
 NOTE = "note: PyBullet is not installed, so sim=auto takes MuJoCo; "
-
-needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is not installed")
-needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="mujoco is not installed")
 
 
 def error(done: subprocess.CompletedProcess[str]) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import uarm_rl
+from tests.conftest import needs_pybullet, uarm_rl
 
 ROOT = Path(__file__).parents[2]
 RUN = ROOT / "results" / "uniform-plain" / "seed1"  # it shakes, which amplifies a last bit
@@ -14,6 +14,7 @@ FLAGS = set(Path("/proc/cpuinfo").read_text().split()) if Path("/proc/cpuinfo").
 KERNELS = ["Prescott", *(["Haswell", "Zen"] if "avx2" in FLAGS else []), *(["SkylakeX"] if "avx512bw" in FLAGS else [])]
 
 
+@needs_pybullet
 @pytest.mark.parametrize(("kernel", "threads"), [(kernel, "1") for kernel in KERNELS] + [("Prescott", "2")])
 def test_an_evaluation_is_the_committed_one(tmp_path, kernel, threads):
     lines = (RUN / "evaluation.csv").read_text().splitlines()[:9]

@@ -23,6 +23,7 @@ from uarm_rl.learn import run as learn_run
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
 from uarm_rl.learn.ddpg import DDPG, DivergenceError
 from uarm_rl.learn.run import RunFolderError
+from uarm_rl.sim import engines
 from uarm_rl.task.arm import ArmError
 from uarm_rl.task.env import UArmSuctionEnv
 
@@ -213,7 +214,8 @@ def test_a_healthy_training_is_not_warned_of(tmp_path):
 
 def test_a_training_whose_bar_was_switched_off_is_trained_all_the_same(tmp_path):
     """By the variable of tqdm, which reads it when it is imported."""
-    done = uarm_rl("train", *FAST, "simulate_beside=false", cwd=tmp_path, environment={"TQDM_DISABLE": "1"})
+    words = ("train", *FAST, f"sim={engines.installed()}", "simulate_beside=false")
+    done = uarm_rl(*words, cwd=tmp_path, environment={"TQDM_DISABLE": "1"})
     assert (done.returncode, done.stderr) == (0, "")
     assert len(list(tmp_path.glob("results/*/seed0/policy.safetensors"))) == 1
 
