@@ -178,3 +178,17 @@ def test_commits_are_checked_by_what_make_check_runs():
     made = subprocess.run(["make", "-n", "check"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
     assert [hook["entry"] for hook in hooks] == [line for line in made if re.match(r"\.venv/bin/(?!python)", line)]
+
+
+def test_one_module_begins_processes():
+    """Elsewhere its context is used; a second way to begin one would be a fork on some systems."""
+    for module, path in MODULES.items():
+        ways = re.findall(r"get_context|set_start_method|os\.fork|multiprocessing\.(?:Process|Pool)", path.read_text())
+        assert not ways or module == "uarm_rl.workers", f"{module}: {ways}"
+        for call in re.findall(r"ProcessPoolExecutor\(([^)]*)", path.read_text()):
+            assert "workers.CONTEXT" in call, module
+
+
+@pytest.mark.parametrize("path", [*DOCUMENTS, *MODULES.values()], ids=lambda path: str(path.relative_to(ROOT)))
+def test_nobody_is_told_to_install_a_package_that_the_index_lacks(path):
+    assert not re.search(r"pip install[^\n]*['\"\s]uarm-rl\b", path.read_text())

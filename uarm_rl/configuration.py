@@ -175,7 +175,7 @@ def compose(command: str, overrides: Sequence[str] = (), *, incomplete: bool = F
         raise UsageError(_sentence(" ".join(str(error).split()), command)) from error
     if values := [override for override in overrides if not choices(override.partition("=")[0].partition("@")[0])]:
         checks.like("", settings, _usual(command, tuple(override for override in overrides if override not in values)))
-    if chosen == "auto" and settings["sim"]["name"] != "pybullet" and not incomplete:
+    if chosen == "auto" and settings["sim"]["name"] == "mujoco" and not incomplete:
         engines.tell()
     return settings
 

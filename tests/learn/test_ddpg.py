@@ -192,7 +192,7 @@ def test_tensors_of_another_shape_are_refused():
         ({"gamma": 2}, "agent.gamma must be a number from 0 to 1, got 2"),
         ({"tau": 0}, "agent.tau must be a number above 0 and at most 1, got 0"),
         ({"hidden": [0]}, "agent.hidden must be a whole number from 1 to 10000, got 0"),
-        ({"actor_lr": float("nan")}, "agent.actor_lr must be a finite number above 0, got nan"),
+        ({"actor_lr": float("nan")}, "agent.actor_lr must be a finite number above 0 and at most 1, got nan"),
     ],
 )
 def test_bad_values_are_refused_in_a_sentence(change, sentence):

@@ -53,7 +53,7 @@ class DDPG:
         hidden = checks.integers("agent.hidden", hidden, low=1, high=10_000)
         self.gamma = checks.number("agent.gamma", gamma, low=0.0, high=1.0)
         self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
-        final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1.0, open_low=True)
+        final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
         actor_sizes = [observation.SIZE, *hidden, action_size]
         critic_sizes = [observation.SIZE + action_size, *hidden, 1]
         split = Network.size(actor_sizes)
