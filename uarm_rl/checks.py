@@ -57,6 +57,13 @@ def position(name: str, value: object) -> tuple[float, float, float]:
     return x, y, z
 
 
+def one_of(name: str, value: object, choices: Sequence[str]) -> str:
+    """``value`` if it is one of the words; :class:`ValueError` with a sentence otherwise."""
+    if value not in choices:
+        raise ValueError(f"{name} must be {' or '.join(choices)}, got {_shown(value)}")
+    return str(value)
+
+
 def boolean(name: str, value: object) -> bool:
     """``value`` if it is a bool; :class:`ValueError` with a sentence otherwise."""
     if not isinstance(value, bool):

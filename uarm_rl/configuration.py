@@ -44,6 +44,7 @@ OPEN_SETS: Final = {
         "instant": "uarm_rl.sim.servo:Instant",
     },
     "sim": {"pybullet": "uarm_rl.sim.pybullet_arm:SimArm", "mujoco": "uarm_rl.sim.mujoco_arm:MujocoArm"},
+    "cup": {"rigid": "uarm_rl.sim.cup:rigid", "bellows": "uarm_rl.sim.cup:Bellows"},
     "agent": {"ddpg": "uarm_rl.learn.ddpg:DDPG"},
     "camera": {
         "openmv": "uarm_rl.real.vision.camera:OpenMVCamera",
@@ -103,7 +104,8 @@ def build_env(
     from uarm_rl.task.env import UArmSuctionEnv
 
     sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
-    arm: SimulatedArm = build("sim", sim, servo=build("servo", settings["servo"]), control_hz=settings["control_hz"])
+    servo, cup = build("servo", settings["servo"]), build("cup", settings["cup"])
+    arm: SimulatedArm = build("sim", sim, servo=servo, cup=cup, control_hz=settings["control_hz"])
     return UArmSuctionEnv(
         arm,
         arm,
@@ -115,6 +117,7 @@ def build_env(
         dwell_s=settings["dwell_s"],
         time_limit_s=time_limit_s,
         object_height_m=sim["object_size_m"],
+        ghost_share=settings["ghost_share"],
         render_mode=render_mode,
         render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size),

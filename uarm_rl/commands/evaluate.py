@@ -32,8 +32,8 @@ def run(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
     workers.one_thread()
     results_dir = checks.path("results_dir", settings["results_dir"])
-    changed = ["positions"] if settings["positions"] != "test" else []
-    changed += [key for key in ("tolerance_m", "time_limit_s", "hold", "sim") if settings.get(key) is not None]
+    changed = [key for key, usual in (("positions", "test"), ("object", "solid")) if settings[key] != usual]
+    changed += [key for key in ("tolerance_m", "time_limit_s", "hold", "sim", "cup") if settings.get(key) is not None]
     file = checks.text("out", settings["out"] or "evaluation.csv")
     if changed and (not settings["out"] or (file == "evaluation.csv" and not settings["run"])):
         raise UsageError(
@@ -109,7 +109,10 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
     if settings.get("hold"):
         run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
+    if settings.get("cup"):
+        run_settings = run_settings | {"cup": settings["cup"]}
     run_settings = in_engine(run_settings, settings.get("sim"))
+    thing = checks.one_of("object", settings["object"], ("solid", "ghost"))
     where = positions.load_named(str(settings["positions"]))
     policy = load_policy(run_dir, settings["policy"], run_settings)
     make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
@@ -127,11 +130,13 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
         "control_hz": control_hz,
         "servo_rise_s": rise_time_s(build("servo", run_settings["servo"])),
         "sigma": run_settings["reward"]["sigma"],
+        "object": thing,
+        "cup": run_settings["cup"]["name"],
         "engine": run_settings["sim"]["name"],
     }
     rows: list[Row] = []
     traces: list[Row] = []
-    episodes = evaluate(make, policy, where, processes=min(processes, len(where)))
+    episodes = evaluate(make, policy, where, processes=min(processes, len(where)), ghost=thing == "ghost")
     bar = tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True)
     for number, episode in enumerate(bar):
         rows.append(measure(number, episode, common_reward, control_hz=control_hz) | conditions)

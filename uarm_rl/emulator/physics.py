@@ -23,11 +23,10 @@ from uarm_rl.emulator.motion import MotorAngles, with_play
 from uarm_rl.sim.pybullet_arm import SimArm, bullet
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import JointPositions
-from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.kinematics import CUP_RADIUS_M, Vector
 
 log = logging.getLogger(__name__)
 
-CUP_RADIUS_M: Final = 0.0095  # of the lip, from the maker's CAD model
 #: Centre of the object's upper surface (m) and how far the object is turned about the vertical (rad).
 Place = tuple[Sequence[float] | Vector, float]
 

@@ -18,8 +18,9 @@ def evaluate(
     positions_m: Vector,
     *,
     processes: int,
+    ghost: bool = False,
 ) -> Iterator[Episode]:
-    """One episode for each of ``positions_m`` (shape (n, 3)), in their order.
+    """One episode for each of ``positions_m`` (shape (n, 3)), in their order; with ``ghost`` nothing solid is there.
 
     ``make_env`` must be picklable if ``processes`` > 1. Every episode begins in a world built anew, so it does not depend
     on their number.
@@ -28,29 +29,30 @@ def evaluate(
         env = make_env()
         try:
             for position in positions_m:
-                yield _episode(env, policy, position)
+                yield _episode(env, policy, position, ghost)
         finally:
             env.close()
         return
-    with ProcessPoolExecutor(processes, workers.CONTEXT, _begin, (make_env, policy)) as pool:
+    with ProcessPoolExecutor(processes, workers.CONTEXT, _begin, (make_env, policy, ghost)) as pool:
         yield from pool.map(_work, positions_m)
 
 
-_worker: tuple[UArmSuctionEnv, Policy]
+_worker: tuple[UArmSuctionEnv, Policy, bool]
 
 
-def _begin(make_env: Callable[[], UArmSuctionEnv], policy: Policy) -> None:
+def _begin(make_env: Callable[[], UArmSuctionEnv], policy: Policy, ghost: bool) -> None:
     global _worker
     workers.begin()
-    _worker = make_env(), policy
+    _worker = make_env(), policy, ghost
 
 
 def _work(position_m: Vector) -> Episode:
-    return _episode(*_worker, position_m)
+    env, policy, ghost = _worker
+    return _episode(env, policy, position_m, ghost)
 
 
-def _episode(env: UArmSuctionEnv, policy: Policy, position_m: Vector) -> Episode:
-    return run_episode(env, policy, options={"object_position": position_m})
+def _episode(env: UArmSuctionEnv, policy: Policy, position_m: Vector, ghost: bool = False) -> Episode:
+    return run_episode(env, policy, options={"object_position": position_m, "ghost": ghost})
 
 
 def successes(env: UArmSuctionEnv, policy: Policy, positions_m: Sequence[Vector] | Vector) -> Iterator[bool]:

@@ -40,6 +40,9 @@ def measure(position: int, episode: Episode, common_reward: DistanceReward, *, c
         "object_displacement_m": float(np.linalg.norm(target[-1] - target[0])),
         **shaking(cup, control_hz=control_hz),
         "decisions": episode.decisions,
+        "press_m": episode.press_m,
+        "reference_press_m": episode.reference_press_m,
+        "contact_n": episode.contact_n,
     }
 
 

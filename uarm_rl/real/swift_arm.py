@@ -175,6 +175,10 @@ class SwiftArm:
             self.rest(self._period_s)
         return max(1, round((self._link.now_s() - began_s) * self._speed / self._period_s))
 
+    def contact_n(self) -> float:
+        """Nothing here feels it."""
+        return 0.0
+
     @property
     def at_rest(self) -> bool:
         """Whether the firmware has confirmed the last move."""

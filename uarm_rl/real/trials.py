@@ -18,6 +18,7 @@ from uarm_rl import checks
 from uarm_rl.real.audit import UnsafeCommandError
 from uarm_rl.real.swift_arm import PumpState, SwiftArm
 from uarm_rl.task import kinematics, positions
+from uarm_rl.task.arm import Ghost
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.hold import Hold
 from uarm_rl.task.kinematics import Vector
@@ -109,7 +110,7 @@ class Task:
         """The environment over ``arm``."""
         return UArmSuctionEnv(
             arm,
-            _Told(),
+            Ghost(),  # the camera sees nothing while the cup is above the object
             _REWARD,
             self.hold,
             control_hz=self.control_hz,
@@ -119,20 +120,6 @@ class Task:
             time_limit_s=self.time_limit_s,
             object_height_m=positions.OBJECT_HEIGHT_M,  # of objects that it places itself, here none
         )
-
-
-class _Told:
-    """A target that stays where the search found it: the camera sees nothing while the cup is above it."""
-
-    def __init__(self) -> None:
-        self._top_m = (0.0, 0.0, 0.0)
-
-    def place_object(self, top_m: Any) -> None:
-        x, y, z = (float(value) for value in top_m)
-        self._top_m = (x, y, z)
-
-    def object_position(self) -> tuple[float, float, float] | None:
-        return self._top_m
 
 
 @dataclass(frozen=True, eq=False)

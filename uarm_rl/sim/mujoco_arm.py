@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl.checks import how_to_add
+from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.servo import Servo
 from uarm_rl.sim.simulated_arm import (
     CAMERA,
@@ -49,6 +50,8 @@ __all__ = ["MujocoArm", "mjcf"]
 
 _OLDEST: Final = (3, 8)
 _JOINTS: Final = ("joint1", "joint2", "joint3", "joint4")
+_LIP: Final = "lip"
+_SLACK_N: Final = 1e-6  # what the lip pushes with when nothing presses it: a row of the solver must not come and go
 _ARM, _TABLE, _OBJECT = 1, 2, 4  # bits of what a shape is, and of what it touches
 _LOOKED_AT: Final = 1  # the group of shapes that a picture shows, as MuJoCo gives it to the URDF's visuals
 _TOUCHES_TABLE: Final = ("link4", "cup")  # the others stand or hang above it whatever the joints do
@@ -125,6 +128,7 @@ class MujocoArm(SimulatedArm):
         object_size_m: float,
         object_mass_kg: float,
         friction: float,
+        cup: Bellows | None = None,
         gui: bool = False,
     ) -> None:
         if tuple(map(int, mujoco.__version__.split(".")[:2])) < _OLDEST:
@@ -139,18 +143,21 @@ class MujocoArm(SimulatedArm):
             object_size_m=object_size_m,
             object_mass_kg=object_mass_kg,
             friction=friction,
+            cup=cup,
             gui=gui,
         )
         model = self._spec(visuals=False).compile()
+        driven = 5 if cup else 4  # the joints, and the lip
         # Friction loss comes first among the constraints, in the order of the joints; nothing may stand before it.
         assert model.neq == 0
-        assert model.jnt_dofadr[:4].tolist() == [0, 1, 2, 3]
-        model.dof_invweight0[:4] *= _MOTOR_SOFTNESS
-        self._model, self._data = model, mujoco.MjData(model)
+        assert model.jnt_dofadr[:driven].tolist() == list(range(driven))
+        model.dof_invweight0[:driven] *= _MOTOR_SOFTNESS
+        self._model, self._data, self._driven = model, mujoco.MjData(model), driven
         data = self._data
-        self._angles, self._speeds, self._first_guess = data.qpos[:4], data.qvel[:4], data.qacc_warmstart[:4]
+        self._angles, self._speeds, self._first_guess = data.qpos[:driven], data.qvel[:driven], data.qacc_warmstart[:driven]
         self._links = [model.body(name).id for name in ("link2", "link3", "link4")]
         self._cup = model.site("cup").id
+        self._touching = {model.geom("cup").id, model.geom("object").id}
         self._view: _View | None = None
         self._window = _Window(self._spec(visuals=True).compile()) if gui else None
         self.home()
@@ -158,6 +165,16 @@ class MujocoArm(SimulatedArm):
     def _spec(self, *, visuals: bool) -> Any:
         """Arm, table and box, with the shapes that are only looked at or without."""
         spec = read_model()
+        if self._bellows is not None:
+            lip = spec.body("cup")
+            lip.mass = self._bellows.mass_kg
+            lip.add_joint(
+                name=_LIP,
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=(0, 0, 1),
+                range=(0, self._bellows.travel_m),
+                limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            )
         for geom in spec.geoms:
             if not geom.contype and not visuals:
                 spec.delete(geom)
@@ -193,10 +210,12 @@ class MujocoArm(SimulatedArm):
             )
         for geom in spec.geoms:
             if geom.contype:
+                geom.name = geom.name or geom.parent.name
                 geom.contype, geom.conaffinity = _touches(geom)
                 geom.friction[0] = self._friction
                 geom.solref, geom.solimp = (2.0 * dt, 1.0), _CONTACT_IMPEDANCE
-        for name, torque_nm in zip(_JOINTS, self.torques_nm, strict=True):
+        effort = dict(zip(_JOINTS, self.torques_nm, strict=True)) | ({_LIP: _SLACK_N} if self._bellows else {})
+        for name, torque_nm in effort.items():
             joint = spec.joint(name)
             joint.frictionloss = torque_nm
             joint.solimp_friction = _MOTOR_IMPEDANCE
@@ -206,19 +225,24 @@ class MujocoArm(SimulatedArm):
     def home(self) -> None:
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
-        self._angles[:] = self._start()
+        self._angles[:4] = self._start()
         mujoco.mj_kinematics(model, data)
 
     def read_joints(self) -> JointPositions:
-        q1, q2, q3, _ = self._angles.tolist()
+        q1, q2, q3 = self._angles[:3].tolist()
         return q1, q2, q3
 
     def advance(self) -> int:
         model, data, dt = self._model, self._data, self._dt_s
         angles, speeds, first_guess, motor_velocities = self._angles, self._speeds, self._first_guess, self._motor_velocities
+        bellows = self._bellows
         for _ in range(self._steps_per_control):
-            v1, v2, v3, v4 = velocities = speeds.tolist()
-            asked = w1, w2, w3, w4 = motor_velocities(angles.tolist(), velocities)
+            v1, v2, v3, v4, *lip_speed = speeds.tolist()
+            q1, q2, q3, q4, *lip = angles.tolist()
+            asked = w1, w2, w3, w4 = motor_velocities((q1, q2, q3, q4), (v1, v2, v3, v4))
+            if bellows is not None:
+                velocity, force = bellows.push(lip[0])
+                model.dof_frictionloss[4] = max(force, _SLACK_N)
             mujoco.mj_step1(model, data)
             wanted = data.efc_aref
             # The solver begins where every motor does what it is asked: if they all can, it is there already.
@@ -226,6 +250,8 @@ class MujocoArm(SimulatedArm):
             wanted[1] = first_guess[1] = (w2 - v2) / dt
             wanted[2] = first_guess[2] = (w3 - v3) / dt
             wanted[3] = first_guess[3] = (w4 - v4) / dt
+            if bellows is not None:
+                wanted[4] = first_guess[4] = (velocity - lip_speed[0]) / dt
             mujoco.mj_step2(model, data)
         self._check_motion(self.read_joints(), asked)
         if self._window is not None:
@@ -233,12 +259,21 @@ class MujocoArm(SimulatedArm):
         return 1
 
     def _put_object(self, centre_m: tuple[float, float, float]) -> None:
-        self._data.qpos[4:11] = (*centre_m, 1.0, 0.0, 0.0, 0.0)  # which wakes it
-        self._data.qvel[4:10] = 0.0
+        n = self._driven
+        self._data.qpos[n : n + 7] = (*centre_m, 1.0, 0.0, 0.0, 0.0)  # which wakes it
+        self._data.qvel[n : n + 6] = 0.0
 
     def _object_pose(self) -> ObjectPose:
-        x, y, z, w, a, b, c = self._data.qpos[4:11].tolist()
+        x, y, z, w, a, b, c = self._data.qpos[self._driven : self._driven + 7].tolist()
         return x, y, z, w, a, b, c
+
+    def contact_n(self) -> float:
+        model, data, force, total = self._model, self._data, np.zeros(6), 0.0
+        for number in range(data.ncon):
+            if {*data.contact.geom[number].tolist()} == self._touching:
+                mujoco.mj_contactForce(model, data, number, force)
+                total += float(force[0])
+        return total
 
     def link_ends(self) -> Vector:
         mujoco.mj_kinematics(self._model, self._data)

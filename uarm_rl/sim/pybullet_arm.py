@@ -7,12 +7,15 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
+from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.servo import Servo
 from uarm_rl.sim.simulated_arm import (
     CAMERA,
@@ -89,6 +92,7 @@ class SimArm(SimulatedArm):
         object_mass_kg: float,
         friction: float,
         exact_cup: bool = False,
+        cup: Bellows | None = None,
         gui: bool = False,
     ) -> None:
         super().__init__(
@@ -98,13 +102,20 @@ class SimArm(SimulatedArm):
             object_size_m=object_size_m,
             object_mass_kg=object_mass_kg,
             friction=friction,
+            cup=cup,
             gui=gui,
         )
         self._arguments["exact_cup"] = checks.boolean("sim.exact_cup", exact_cup)
         # PyBullet makes a hull of a cylinder, which stands 1 mm proud of it; the published runs have the hull.
-        self._cup_flags = bullet.URDF_USE_IMPLICIT_CYLINDER if exact_cup else 0
+        self._cup_flags = bullet.URDF_USE_IMPLICIT_CYLINDER if exact_cup or cup else 0
+        self._driven = (*_JOINTS, _CUP) if cup else _JOINTS
         self._client = self._connect(gui)
         self._urdf = str(urdf())
+        self._folder = TemporaryDirectory(prefix="uarm-rl-") if cup else None  # PyBullet reads files alone
+        if cup and self._folder:
+            text = cup.joined(Path(self._urdf).read_text())
+            self._urdf = str(Path(self._folder.name) / "arm.urdf")
+            Path(self._urdf).write_text(text)
         self._arm = self._object = self._table = -1
         self.home()
 
@@ -172,12 +183,18 @@ class SimArm(SimulatedArm):
 
     def advance(self) -> int:
         client, arm, motor_velocities = self._client, self._arm, self._motor_velocities
+        driven, bellows = self._driven, self._bellows
         for _ in range(self._steps_per_control):
-            one, two, three, four = bullet.getJointStates(arm, _JOINTS, physicsClientId=client)
+            one, two, three, four, *lip = bullet.getJointStates(arm, driven, physicsClientId=client)
             joints, velocities = (one[0], two[0], three[0], four[0]), (one[1], two[1], three[1], four[1])
-            asked, forces = motor_velocities(joints, velocities), self.torques_nm
+            asked = motor_velocities(joints, velocities)
+            speeds: tuple[float, ...] = asked
+            forces: tuple[float, ...] = self.torques_nm
+            if bellows is not None:
+                velocity, force = bellows.push(lip[0][0])
+                speeds, forces = (*asked, velocity), (*forces, force)
             bullet.setJointMotorControlArray(
-                arm, _JOINTS, bullet.VELOCITY_CONTROL, targetVelocities=asked, forces=forces, physicsClientId=client
+                arm, driven, bullet.VELOCITY_CONTROL, targetVelocities=speeds, forces=forces, physicsClientId=client
             )
             bullet.stepSimulation(physicsClientId=client)
         self._check_motion(self.read_joints(), asked)
@@ -190,6 +207,10 @@ class SimArm(SimulatedArm):
     def _object_pose(self) -> ObjectPose:
         position, (x, y, z, w) = bullet.getBasePositionAndOrientation(self._object, physicsClientId=self._client)
         return *position, w, x, y, z
+
+    def contact_n(self) -> float:
+        contacts = bullet.getContactPoints(self._arm, self._object, _CUP, physicsClientId=self._client)
+        return float(sum(contact[9] for contact in contacts))
 
     def link_ends(self) -> Vector:
         states = bullet.getLinkStates(self._arm, (1, 2, 3, _CUP), computeForwardKinematics=True, physicsClientId=self._client)
@@ -218,3 +239,5 @@ class SimArm(SimulatedArm):
         if self._client >= 0 and bullet.isConnected(self._client):
             bullet.disconnect(self._client)
         self._client = -1
+        if self._folder:
+            self._folder.cleanup()

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
+from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.servo import Servo
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions, PhysicsError
@@ -90,6 +91,7 @@ class SimulatedArm(ABC):
         object_size_m: float,
         object_mass_kg: float,
         friction: float,
+        cup: Bellows | None = None,
         gui: bool = False,
     ) -> None:
         self._arguments: dict[str, Any] = {
@@ -98,6 +100,7 @@ class SimulatedArm(ABC):
             "object_size_m": checks.number("sim.object_size_m", object_size_m, low=0.005, high=0.1),
             "object_mass_kg": checks.number("sim.object_mass_kg", object_mass_kg, low=0.0, high=1.0, open_low=True),
             "friction": checks.number("sim.friction", friction, low=0.0, high=2.0),
+            "cup": cup,
             "gui": checks.boolean("sim.gui", gui),
         }
         if physics_hz % control_hz:
@@ -110,6 +113,7 @@ class SimulatedArm(ABC):
         self._object_size_m = object_size_m
         self._object_mass_kg = object_mass_kg
         self._friction = friction
+        self._bellows = cup
         self.torques_nm = TORQUES_NM  # what the motors of joint1..joint4 can give
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -143,6 +147,9 @@ class SimulatedArm(ABC):
     @abstractmethod
     def _object_pose(self) -> ObjectPose:
         """Where the object is and how it is turned."""
+
+    @abstractmethod
+    def contact_n(self) -> float: ...
 
     @abstractmethod
     def link_ends(self) -> Vector:

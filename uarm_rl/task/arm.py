@@ -43,6 +43,10 @@ class Arm(Protocol):
         """
         ...
 
+    def contact_n(self) -> float:
+        """With how much normal force (N) the cup pushes the object now; 0 where nobody can tell."""
+        ...
+
     @property
     def at_rest(self) -> bool:
         """Whether the arm itself says that it stands still, as a real one does; of others it is seen in their joints."""
@@ -67,3 +71,17 @@ class Target(Protocol):
     def object_position(self) -> tuple[float, float, float] | None:
         """Centre of the object's upper surface (m), or ``None`` if it is lost (fallen over, off the table)."""
         ...
+
+
+class Ghost:
+    """A target without a body: it stays where it was told to be."""
+
+    def __init__(self) -> None:
+        self._top_m = (0.0, 0.0, 0.0)
+
+    def place_object(self, top_m: Sequence[float] | Vector) -> None:
+        x, y, z = (float(value) for value in top_m)
+        self._top_m = x, y, z
+
+    def object_position(self) -> tuple[float, float, float] | None:
+        return self._top_m

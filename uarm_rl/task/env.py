@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uarm_rl import checks, columns
 from uarm_rl.task import kinematics, positions
-from uarm_rl.task.arm import Arm, ArmError, JointPositions, PhysicsError, Target
+from uarm_rl.task.arm import Arm, ArmError, Ghost, JointPositions, PhysicsError, Target
 from uarm_rl.task.hold import Hold
 from uarm_rl.task.observation import SIZE, Observation, observe
 from uarm_rl.task.reward import DistanceReward, RewardTerms
@@ -36,13 +36,16 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     flag). ``truncated``: ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach,
     or the simulation exploded (``info["exploded"]``; only a reset with ``home`` mends it).
 
-    ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one) and ``home`` (default
-    true; false leaves the arm where it is and only places a new object).
+    ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one), ``home`` (default
+    true; false leaves the arm where it is and only places a new object) and, with ``home``, ``ghost`` (whether the target is
+    told and nothing solid is there; default: a ``ghost_share`` of the episodes).
 
     ``info`` has the same keys after ``reset`` and ``step``: ``is_success``, ``distance_m``, ``object_position`` (3,),
     ``control_steps`` of the decision, ``clipped`` (the reference was cut at a limit), ``travel_rad`` (largest joint difference
-    between the two states), the reward's three terms, ``object_moved_m``, ``object_lost`` and ``exploded``. How the decision
-    went, control step by control step, is in ``trace``.
+    between the two states), the reward's terms, ``object_moved_m``, ``object_lost``, ``exploded``, ``ghost``, and how the arm
+    leans: ``press_m`` and ``reference_press_m``, how far the cup and the commanded one were below the object's upper surface
+    while over it, and ``contact_n``, the largest normal force between them. How the decision went, control step by control
+    step, is in ``trace``.
 
     ``metadata`` is each environment's own: ``render_fps`` is the number of decisions a second, so that a film with a picture a
     decision plays at about the arm's speed; with ``rgb_array_list``, ``render`` has a picture for every control step.
@@ -65,6 +68,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         dwell_s: float,
         time_limit_s: float | None,
         object_height_m: float,
+        ghost_share: float = 0.0,
         render_mode: str | None = None,
         render_modes: Sequence[str] = (),
         take_picture: Callable[[], NDArray[np.uint8]] | None = None,
@@ -85,6 +89,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if time_limit_s is not None:
             self._step_limit = checks.number("time_limit_s", time_limit_s, low=1.0 / control_hz, high=_LONGEST_S) * control_hz
         self._object_height_m = object_height_m
+        self._over_m = object_height_m / 2.0 + kinematics.CUP_RADIUS_M
+        self._ghost_share = checks.number("ghost_share", ghost_share, low=0.0, high=1.0)
+        self._solid, self._ghost = target, Ghost()
         self._take_picture = take_picture
         self._pictures: list[NDArray[np.uint8]] = []
         self._trace: list[NDArray[np.float64]] = []
@@ -95,21 +102,28 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         super().reset(seed=seed)
         options = options or {}
-        if unknown := set(options) - {"object_position", "home"}:
-            raise ValueError(f"reset has no option {sorted(unknown)[0]!r}; it takes object_position and home")
+        if unknown := set(options) - {"object_position", "home", "ghost"}:
+            raise ValueError(f"reset has no option {sorted(unknown)[0]!r}; it takes object_position, home and ghost")
         if options.get("home", True):
             self.arm.home()
+            self.target = self._ghost if self._is_ghost(options.get("ghost")) else self._solid
         self._joints = self.arm.read_joints()
         self._link_ends = kinematics.forward(self._joints)
         self._object = self._place(options.get("object_position"))
         self._dwelt_steps = 0
         self._elapsed_steps = 0
         self._flag = False
+        self._press_m = self._reference_press_m = self._contact_n = 0.0
         self._begun = True
         self._trace = []
         if self.render_mode == "rgb_array_list":
             self._pictures = [self._picture()]
         return self._observe(), self._info(RewardTerms(0.0, 0.0, 0.0))
+
+    def _is_ghost(self, wanted: bool | None) -> bool:
+        if wanted is None:
+            return self._ghost_share > 0.0 and bool(self.np_random.random() < self._ghost_share)
+        return checks.boolean("ghost", wanted)
 
     def _place(self, wanted: Any) -> tuple[float, float, float]:
         if wanted is None:
@@ -132,6 +146,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         start_joints, start_cup, start_object = self._joints, self._link_ends[3].tolist(), self._object
         clipped = self._command(action)
         self._trace, control_steps = [], 0
+        self._press_m = self._contact_n = 0.0
         lost = timed_out = released = exploded = False
         while not (self._flag or lost or timed_out or released):
             last = self._joints
@@ -148,7 +163,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             released = self._hold.releases(control_steps, travel_rad)
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
-        terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object)
+        terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object, self._press_m)
         info = self._info(
             terms,
             control_steps=control_steps,
@@ -185,6 +200,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "object_moved_m": object_moved_m,
             "object_lost": object_lost,
             "exploded": exploded,
+            "ghost": self.target is self._ghost,
+            "press_m": self._press_m,
+            "reference_press_m": self._reference_press_m,
+            "contact_n": self._contact_n,
         }
 
     @property
@@ -204,6 +223,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         j1, j2, j3 = self._joints
         wanted = j1 + d1, j2 + d2, j3 + d3
         reference = kinematics.clip_to_limits(*wanted)
+        self._reference_press_m = self._depth_m(kinematics.forward(reference)[3].tolist())
         self.arm.command_joints(reference)
         return reference != wanted
 
@@ -217,6 +237,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if position is not None:
             self._object = position
         self._elapsed_steps += passed
+        self._press_m = max(self._press_m, self._depth_m(self._link_ends[3].tolist()))
+        self._contact_n = max(self._contact_n, self.arm.contact_n())
         # An arm that was seen only before and after several steps was near enough at the end of them, perhaps not before.
         stayed = passed if self._dwelt_steps else 1
         self._dwelt_steps = self._dwelt_steps + stayed if self._distance_m() <= self._tolerance_m else 0
@@ -226,6 +248,11 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def state(self) -> NDArray[np.float64]:
         """Joints, cup and object as they are now: a row of the trace, shape (9,)."""
         return np.array((*self._joints, *self._link_ends[3].tolist(), *self._object))
+
+    def _depth_m(self, cup_m: Sequence[float]) -> float:
+        """How far a cup there is below the object's upper surface, if any of its lip is over it."""
+        (x, y, z), (at_x, at_y, top_m) = cup_m, self._object
+        return max(0.0, top_m - z) if max(abs(x - at_x), abs(y - at_y)) <= self._over_m else 0.0
 
     def _distance_m(self) -> float:
         return math.dist(self._link_ends[3].tolist(), self._object)

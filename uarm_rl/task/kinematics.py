@@ -26,6 +26,7 @@ SHOULDER_HEIGHT_M: Final = 0.1074  # shoulder axis above the table
 LOWER_ARM_M: Final = 0.14207  # shoulder to elbow
 FOREARM_M: Final = 0.15881  # elbow to wrist
 CUP_FORWARD_M: Final = 0.05665  # wrist to suction cup, tool mode 0
+CUP_RADIUS_M: Final = 0.0095  # of the lip, from the maker's CAD model
 CUP_DOWN_M: Final = 0.07455  # wrist to the tip of the suction cup, tool mode 0
 
 REACH_M: Final = SHOULDER_FORWARD_M + LOWER_ARM_M + FOREARM_M + CUP_FORWARD_M  # no cup is farther from the base axis

@@ -14,16 +14,17 @@ _LARGEST: Final = 1e4  # a weight; beyond it float32 has no room for the rest
 
 @dataclass(frozen=True)
 class RewardTerms:
-    """The three terms of equation (4); their sum is the reward."""
+    """The three terms of equation (4), and one for pressing; their sum is the reward."""
 
     distance: float  # alpha * r_d(s')
     progress: float  # beta * (r_d(s') - r_d(s))
     displacement: float  # sigma * d_o(s, s')
+    pressing: float = 0.0  # not the paper's
 
     @property
     def total(self) -> float:
         """The reward."""
-        return self.distance + self.progress + self.displacement
+        return self.distance + self.progress + self.displacement + self.pressing
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class DistanceReward:
     """``alpha r_d(s') + beta (r_d(s') - r_d(s)) + sigma d_o(s, s')`` with ``r_d = alpha_d d_h + beta_d d_v``.
 
     d_h and d_v are the horizontal and vertical distances (m) from the cup to the centre of the object's upper
-    surface, d_o the distance (m) by which the object moved. The paper demands alpha, beta > 0 and
+    surface, d_o the distance (m) by which the object moved. ``pressing`` (1/m) is not the paper's: it punishes the depth of the
+    cup below that surface. The paper demands alpha, beta > 0 and
     alpha_d, beta_d < 0; sigma is 0 (methods A, B) or negative (methods C, D).
     """
 
@@ -40,6 +42,7 @@ class DistanceReward:
     sigma: float
     alpha_d: float
     beta_d: float
+    pressing: float = 0.0
 
     def __post_init__(self) -> None:
         checks.number("reward.alpha", self.alpha, low=0.0, high=_LARGEST, open_low=True)
@@ -47,6 +50,7 @@ class DistanceReward:
         checks.number("reward.sigma", self.sigma, low=-_LARGEST, high=0.0)
         checks.number("reward.alpha_d", self.alpha_d, low=-_LARGEST, high=0.0)
         checks.number("reward.beta_d", self.beta_d, low=-_LARGEST, high=0.0)
+        checks.number("reward.pressing", self.pressing, low=-_LARGEST, high=0.0)
 
     def distance_reward(self, cup_m: Sequence[float], object_m: Sequence[float]) -> float:
         """r_d of one state."""
@@ -57,16 +61,26 @@ class DistanceReward:
         """Lowest and highest reward of a step, if no distance or displacement exceeds these two (m)."""
         farthest = self.alpha_d * horizontal_m + self.beta_d * vertical_m
         lowest = (self.alpha + self.beta) * farthest + self.sigma * math.hypot(horizontal_m, vertical_m)
+        lowest += self.pressing * vertical_m
         return lowest, -self.beta * farthest
 
     def __call__(
-        self, cup_m: Sequence[float], object_m: Sequence[float], next_cup_m: Sequence[float], next_object_m: Sequence[float]
+        self,
+        cup_m: Sequence[float],
+        object_m: Sequence[float],
+        next_cup_m: Sequence[float],
+        next_object_m: Sequence[float],
+        press_m: float = 0.0,
     ) -> RewardTerms:
-        """Terms of the reward for the step from (cup, object) to (next cup, next object), positions in metres."""
+        """Terms of the reward for the step from (cup, object) to (next cup, next object), positions in metres.
+
+        ``press_m``: how deep the cup was below the object's upper surface on the way, at most.
+        """
         before = self.distance_reward(cup_m, object_m)
         after = self.distance_reward(next_cup_m, next_object_m)
         return RewardTerms(
             distance=self.alpha * after,
             progress=self.beta * (after - before),
             displacement=self.sigma * math.dist(object_m, next_object_m),
+            pressing=self.pressing * press_m,
         )

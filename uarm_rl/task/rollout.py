@@ -22,6 +22,9 @@ class Episode:
     episode_return: float
     decisions: int
     trace: NDArray[np.float64]  # (looks + 1, 9)
+    press_m: float = 0.0  # the deepest that the cup was below the object's upper surface while over it
+    reference_press_m: float = 0.0  # and the deepest that it was told to be
+    contact_n: float = 0.0  # the largest normal force between cup and object
 
 
 def run_episode(env: UArmSuctionEnv, policy: Policy, **reset: Any) -> Episode:
@@ -30,9 +33,11 @@ def run_episode(env: UArmSuctionEnv, policy: Policy, **reset: Any) -> Episode:
     traces = [env.state()[np.newaxis]]
     episode_return, decisions = 0.0, 0
     terminated = truncated = False
+    leaning = dict.fromkeys(("press_m", "reference_press_m", "contact_n"), 0.0)
     while not (terminated or truncated):
-        observation, reward, terminated, truncated, _ = env.step(policy.act(observation))
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        leaning = {name: max(value, info[name]) for name, value in leaning.items()}
         traces.append(env.trace)
         episode_return += reward
         decisions += 1
-    return Episode(terminated, episode_return, decisions, np.concatenate(traces))
+    return Episode(terminated, episode_return, decisions, np.concatenate(traces), **leaning)
