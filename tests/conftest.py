@@ -69,7 +69,8 @@ def make_arm(engine: str, *overrides: str) -> SimulatedArm:
     """The simulated arm of an engine, from command-line overrides."""
     settings = configuration.compose("train", (f"sim={engine}", *overrides))
     servo = configuration.build("servo", settings["servo"])
-    arm: SimulatedArm = configuration.build("sim", settings["sim"], servo=servo, control_hz=settings["control_hz"])
+    cup = configuration.build("cup", settings["cup"])
+    arm: SimulatedArm = configuration.build("sim", settings["sim"], servo=servo, cup=cup, control_hz=settings["control_hz"])
     return arm
 
 

@@ -10,11 +10,14 @@ from uarm_rl import checks
 
 _RETURN_S: Final = 0.02  # silicone comes back within a few hundredths of a second
 _FASTEST_M_S: Final = 0.5
+_HANGS_N: Final = 1.0  # more than the lip's weight
+_STOP: Final = 10.0  # folds that lie on each other are so much stiffer
 
 
 @dataclass(frozen=True)
 class Bellows:
-    """A lip on a spring. Pressed together by ``x`` (m, 0 to ``travel_m``) it pushes with ``stiffness_n_m`` x newton.
+    """A lip on a spring. Pressed together by ``x`` metres it pushes with ``stiffness_n_m`` x newton, and with far
+    more beyond ``travel_m``.
 
     Both engines have it as a sliding joint whose motor wants to bring the lip back and has just that force: a row of the
     contact solver, which a stiff spring of so little mass would not survive at 120 steps a second.
@@ -31,8 +34,11 @@ class Bellows:
 
     def push(self, compression_m: float) -> tuple[float, float]:
         """Velocity (m/s, negative: outwards) that the lip is driven with, and the force (N) that it has for that."""
-        compression_m = max(0.0, compression_m)
-        return max(-compression_m / _RETURN_S, -_FASTEST_M_S), self.stiffness_n_m * compression_m
+        velocity = min(max(-compression_m / _RETURN_S, -_FASTEST_M_S), _FASTEST_M_S)
+        if compression_m <= 0.0:  # stretched out
+            return velocity, _HANGS_N
+        beyond_m = max(0.0, compression_m - self.travel_m)
+        return velocity, self.stiffness_n_m * (compression_m + _STOP * beyond_m)
 
     def joined(self, urdf: str) -> str:
         """The arm's URDF with this cup on a sliding joint, up is pressed together, where the rigid one is fixed."""
@@ -43,5 +49,5 @@ class Bellows:
         mass.set("value", repr(self.mass_kg))
         joint.set("type", "prismatic")
         ET.SubElement(joint, "axis", xyz="0 0 1")
-        ET.SubElement(joint, "limit", lower="0", upper=repr(self.travel_m), effort="100", velocity="10")
+        ET.SubElement(joint, "limit", lower="1", upper="-1", effort="100", velocity="10")  # none
         return ET.tostring(robot, encoding="unicode")

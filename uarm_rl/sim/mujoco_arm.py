@@ -168,13 +168,7 @@ class MujocoArm(SimulatedArm):
         if self._bellows is not None:
             lip = spec.body("cup")
             lip.mass = self._bellows.mass_kg
-            lip.add_joint(
-                name=_LIP,
-                type=mujoco.mjtJoint.mjJNT_SLIDE,
-                axis=(0, 0, 1),
-                range=(0, self._bellows.travel_m),
-                limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            )
+            lip.add_joint(name=_LIP, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1))
         for geom in spec.geoms:
             if not geom.contype and not visuals:
                 spec.delete(geom)
