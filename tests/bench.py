@@ -82,6 +82,21 @@ def judge(line, last_deg=None):
     return b, left, right
 
 
+def spares(start_deg, goal_deg, top_mm, half_diagonal_mm, press_mm):
+    """Whether the cup stays out of an object all along a straight line in motor angles, but for what it may press.
+
+    With geometry of its own, every 0.05 degrees; a cup that began inside may not come deeper.
+    """
+    pieces = max(2, int(max(abs(np.subtract(goal_deg, start_deg))) / 0.05))
+    b, left, right = (np.linspace(start, goal, pieces) for start, goal in zip(start_deg, goal_deg, strict=True))
+    radius = 142.07 * np.cos(np.radians(left)) + 158.81 * np.cos(np.radians(right)) + 13.2 + 56.65
+    height = 142.07 * np.sin(np.radians(left)) - 158.81 * np.sin(np.radians(right)) + 107.4 - 74.55
+    x, y = radius * np.sin(np.radians(b)), -radius * np.cos(np.radians(b))
+    aside = np.hypot(x - top_mm[0], y - top_mm[1])
+    inside = np.minimum(top_mm[2] - press_mm - height, half_diagonal_mm + 9.5 - aside)
+    return inside.max() <= max(inside[0], 0.0) + 0.15  # the angles on the wire have three digits
+
+
 PLACE = np.array([0.2, 0.05, 0.03])
 TASK = Task(
     hold=UntilSteady(0.001, 2, 40),
@@ -92,6 +107,7 @@ TASK = Task(
     time_limit_s=10.0,
     press_m=0.002,
     max_press_m=0.005,
+    object_size_m=(0.03, 0.03, 0.03),
 )
 
 

@@ -19,13 +19,13 @@ from unittest import mock
 
 import numpy as np
 
-from tests.bench import judge
+from tests.bench import judge, spares
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
 from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.motion import KinematicJoints
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.real import audit
-from uarm_rl.real.audit import UnsafeCommandError
+from uarm_rl.real.audit import KnownObject, UnsafeCommandError
 from uarm_rl.real.link import Link
 from uarm_rl.real.ports import READ_S
 from uarm_rl.real.swift_arm import SwiftArm
@@ -43,6 +43,10 @@ def quick_port() -> MemoryPort:
 
 def emulated() -> Firmware:
     return Firmware(Settings(tick_s=1.0), KinematicJoints(PARKED_DEG))
+
+
+#: In the middle of where hostile wishes lead.
+OBJECT = KnownObject((0.21, 0.02, 0.12), (0.06, 0.06, 0.12), 0.005)
 
 
 def wishes(generator: random.Random, joints: tuple[float, ...]) -> object:
@@ -99,6 +103,7 @@ def references(count: int, seed: int = 0) -> tuple[int, int]:
             port = quick_port()
             with SwiftArm(Link(port, "hostile", clock=port.clock)) as arm:
                 arm.home()
+                arm.known = OBJECT
                 for _ in range(first, min(first + _WALK, count)):
                     joints = arm.read_joints()
                     port.written.clear()
@@ -112,7 +117,8 @@ def references(count: int, seed: int = 0) -> tuple[int, int]:
 def harmless(written: bytes, standing_deg: tuple[float, float, float]) -> bool:
     try:
         for line in written.decode("ascii").splitlines():
-            judge(line, standing_deg)
+            goal_deg = judge(line, standing_deg)
+            assert goal_deg is None or spares(standing_deg, goal_deg, (210.0, 20.0, 120.0), 42.4, 5.0)
     except (AssertionError, AttributeError, ValueError):
         return False
     return True
@@ -121,6 +127,11 @@ def harmless(written: bytes, standing_deg: tuple[float, float, float]) -> bool:
 def blind() -> mock._patch:
     """A control that ``references`` must catch: an audit that does not look where the cup goes."""
     return mock.patch.object(audit, "_check_path", return_value=None)
+
+
+def careless() -> mock._patch:
+    """Another: an audit that forgets the object."""
+    return mock.patch.object(audit, "_spares", return_value=True)
 
 
 class Liar(MemoryPort):

@@ -164,6 +164,7 @@ TRIALS: Final = _columns(
     Column("final_distance_m", FINITE, "m", "cup to target at the end of the approach, by forward kinematics", empty=True),
     Column("decisions", WHOLE, "", "commands of the approach", empty=True),
     Column("clamps", WHOLE, "", "references that the audit pulled inside a limit, by a hair", empty=True),
+    Column("pull_ups", WHOLE, "", "references that were raised to spare the object", empty=True, since="2026-11-27"),
     Column("looks", WHOLE, "", "pictures taken", empty=True),
     Column("camera_misfit_px", FINITE, "px", "the object's outline against a box there", empty=True),
     Column("camera_disagreement_m", FINITE, "m", "first look against last", empty=True),

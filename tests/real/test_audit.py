@@ -8,12 +8,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from tests.bench import HOME, Bench
+from tests.bench import HOME, Bench, spares
 from uarm_rl.emulator.realism import Settings
-from uarm_rl.real.audit import Limits, UnsafeCommandError, audit
+from uarm_rl.real.audit import KnownObject, Limits, UnsafeCommandError, audit
 from uarm_rl.task import kinematics
 
 
@@ -122,3 +122,46 @@ def test_hostile_references_put_nothing_unsafe_on_the_wire(homed, reference, rel
         arm.command_joints(reference)
     arm.advance()
     bench.judge(last_deg=standing_deg)
+
+
+OBJECT = KnownObject((0.21, 0.04, 0.03), (0.03, 0.03, 0.03), 0.004)
+_NEAR = st.tuples(st.floats(-0.07, 0.07), st.floats(-0.07, 0.07), st.floats(-0.03, 0.05))
+
+
+def joints_near(offset):
+    return tuple(kinematics.inverse(np.add(OBJECT.top_m, offset)).tolist())
+
+
+@settings(deadline=None, max_examples=500)
+@given(start=_NEAR, goal=_NEAR)
+def test_no_way_leads_into_a_known_object(start, goal):
+    """From anywhere outside it; what would go in goes to a place that spares it, or nowhere."""
+    try:
+        joints, reference = joints_near(start), joints_near(goal)
+    except kinematics.UnreachableError:
+        assume(False)
+    assume(OBJECT.depth_m(np.add(OBJECT.top_m, start)) == 0.0)
+    try:
+        audited = audit(reference, joints, feed=20.0, limits=Limits(), single_step=False, known=OBJECT)
+    except UnsafeCommandError:
+        return
+    assert spares(kinematics.to_motor_deg(joints), audited.command.values[:3], (210.0, 40.0, 30.0), 21.2, 4.0)
+
+
+def test_a_press_goes_as_deep_as_it_may_and_no_deeper():
+    above, low, deep = (joints_near((0.0, 0.0, height)) for height in (0.01, -0.004, -0.009))
+    free = audit(low, above, feed=20.0, limits=Limits(), single_step=True, known=OBJECT)
+    assert free.pulled_up_m == 0.0
+    stopped = audit(deep, above, feed=20.0, limits=Limits(), single_step=True, known=OBJECT)
+    assert stopped.pulled_up_m == pytest.approx(0.005, abs=1e-6)
+    assert kinematics.cup_position(stopped.joints_rad)[2] == pytest.approx(0.026, abs=1e-5)
+    unknown = audit(deep, above, feed=20.0, limits=Limits(), single_step=True)
+    assert kinematics.cup_position(unknown.joints_rad)[2] == pytest.approx(0.021, abs=1e-5)
+
+
+def test_a_cup_that_is_too_deep_already_may_leave_and_not_go_deeper():
+    inside = joints_near((0.0, 0.0, -0.01))
+    left = audit(joints_near((0.0, 0.0, 0.02)), inside, feed=20.0, limits=Limits(), single_step=False, known=OBJECT)
+    assert left.pulled_up_m == 0.0
+    kept = audit(joints_near((0.0, 0.0, -0.02)), inside, feed=20.0, limits=Limits(), single_step=False, known=OBJECT)
+    assert kinematics.cup_position(kept.joints_rad)[2] > 0.02 - 1e-5

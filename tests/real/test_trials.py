@@ -301,8 +301,9 @@ def test_a_fault_in_a_trial_ends_it_in_a_sentence_with_the_pump_off(fault, error
 
 def test_hostile_wishes_put_nothing_unsafe_on_the_wire():
     assert hostile_arm.references(5000) == (5000, 0)
-    with hostile_arm.blind():
-        assert hostile_arm.references(1000)[1] > 10  # the control is caught
+    for control in (hostile_arm.blind(), hostile_arm.careless()):
+        with control:
+            assert hostile_arm.references(1000)[1] > 10  # it is caught
 
 
 def test_arms_that_answer_nonsense_never_hang_the_driver():

@@ -89,6 +89,7 @@ def task_of(card: PolicyCard, settings: Settings) -> Task:
         hold=build("hold", card.hold),
         **{key: getattr(card, key) for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
         **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
+        object_size_m=object_size(settings["object_size_m"]),
     )
 
 

@@ -6,6 +6,7 @@ import itertools
 import logging
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from numbers import Real
 from typing import Final
@@ -23,6 +24,11 @@ log = logging.getLogger(__name__)
 _MICROSTEP_DEG: Final = 0.0125
 _PATH_STEP_DEG: Final = 2.0  # the path is looked at every so often
 _PATH_TOLERANCE_M: Final = 0.001  # a way out of a forbidden place may dip by this much first
+
+_CLOSE_STEP_DEG: Final = 0.25  # and beside a known object so often: the cup travels a millimetre
+_CLEARANCE_M: Final = 0.001  # beside it, for what happens between two looks
+_ROUNDING_M: Final = 2e-5
+_RISES_M: Final = tuple(0.002 * step for step in range(31))  # where a way over the object is looked for
 
 #: The arm's own base, from the maker's CAD model: half of its square footprint and its height, with the radius of the
 #: cup's lip (9.5 mm) around it. Firmware 3.2 refuses such targets, firmware 4 drives into them.
@@ -59,17 +65,53 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class KnownObject:
+    """A box that stands there: the cup may press its upper surface by ``max_press_m`` and not touch its sides.
+
+    However it is turned: what counts is the cylinder around it, with the cup's lip beside it.
+    """
+
+    top_m: tuple[float, float, float]  # centre of its upper surface, base frame
+    size_m: tuple[float, float, float]  # length, width, height
+    max_press_m: float
+
+    @property
+    def lowest_m(self) -> float:
+        """Height below which the cup may not be within ``radius_m`` of its axis."""
+        return self.top_m[2] - self.max_press_m
+
+    @property
+    def radius_m(self) -> float:
+        return math.hypot(self.size_m[0], self.size_m[1]) / 2.0 + kinematics.CUP_RADIUS_M + _CLEARANCE_M
+
+    def depth_m(self, cup_m: Sequence[float]) -> float:
+        """How far a cup would be inside what is not allowed; 0 outside."""
+        aside_m = math.hypot(cup_m[0] - self.top_m[0], cup_m[1] - self.top_m[1])
+        return max(0.0, min(self.lowest_m - cup_m[2], self.radius_m - aside_m))
+
+
+@dataclass(frozen=True)
 class Audited:
-    """A motion command that passed. ``clamped``: the reference was pulled inside a limit, by at most two microsteps."""
+    """A motion command that passed. ``clamped``: the reference was pulled inside a limit, by at most two microsteps.
+
+    ``pulled_up_m``: by how much it was raised so as to spare the known object.
+    """
 
     command: Command
     joints_rad: JointPositions
     distance_deg: float  # norm of the motors' travel
     clamped: bool
+    pulled_up_m: float = 0.0
 
 
 def audit(
-    reference_rad: Sequence[float], joints_rad: JointPositions, *, feed: float, limits: Limits, single_step: bool
+    reference_rad: Sequence[float],
+    joints_rad: JointPositions,
+    *,
+    feed: float,
+    limits: Limits,
+    single_step: bool,
+    known: KnownObject | None = None,
 ) -> Audited:
     """The command that moves from ``joints_rad`` straight to ``reference_rad`` (joint1..joint3) at F = ``feed``.
 
@@ -77,6 +119,9 @@ def audit(
     limits, the speed is allowed, no joint steps too far (``single_step``; homing and parking may), and the cup ends
     and stays on its way inside the workspace, above the table and off the arm's own base. An arm that starts outside
     (sagged onto the table) may move as long as that brings it no further outside.
+
+    A cup that would come too deep into the ``known`` object, or into its side, there or on its way, goes to the lowest place
+    above that spares it.
     """
     reference = _three_numbers(reference_rad)
     if not kinematics.within_limits(reference, tolerance_rad=math.radians(_MICROSTEP_DEG)):
@@ -86,6 +131,10 @@ def audit(
             f"F {feed:g} asks for {FEED_DEG_S * feed:.1f} deg/s; allowed is up to {limits.max_speed_deg_s:g} deg/s, "
             f"F {limits.max_speed_deg_s / FEED_DEG_S:.1f}"
         )
+    wanted = reference
+    reference, pulled_up_m = _spared(reference, joints_rad, known, limits.max_step_rad if single_step else math.inf)
+    if pulled_up_m:
+        log.info("the cup was to go %.1f mm too deep into the object, to %s", 1000.0 * pulled_up_m, _degrees(wanted))
     step_rad = max(abs(b - a) for a, b in zip(joints_rad, reference, strict=True))
     if single_step and not step_rad <= limits.max_step_rad:
         raise UnsafeCommandError(
@@ -98,7 +147,49 @@ def audit(
         log.info("motor angles B %.4f, L %.4f, R %.4f clamped to the limits: B %.4f, L %.4f, R %.4f", *end, *legal)
     _check_path(start, legal, limits)
     b1, j2, j3 = kinematics.from_motor_deg(*legal).tolist()
-    return Audited(Command("G2206", *legal, feed), (b1, j2, j3), math.dist(start, legal), clamped)
+    return Audited(Command("G2206", *legal, feed), (b1, j2, j3), math.dist(start, legal), clamped, pulled_up_m)
+
+
+def _spared(
+    reference: JointPositions, joints_rad: JointPositions, known: KnownObject | None, most_rad: float
+) -> tuple[JointPositions, float]:
+    """The reference, or the lowest one above it whose whole way spares the known object; and how much higher that is.
+
+    Where there is none the cup goes up from where it is: from there the next command sees further.
+    """
+    if known is None or _spares(joints_rad, reference, known):
+        return reference, 0.0
+    (x, y, z), (at_x, at_y, at_z) = _cup_of(reference), _cup_of(joints_rad)
+    above = [(x, y, max(z, known.lowest_m) + rise_m) for rise_m in _RISES_M]
+    up = [(at_x, at_y, at_z + rise_m) for rise_m in reversed(_RISES_M)]
+    for place in above + up:
+        with suppress(kinematics.UnreachableError):
+            one, two, three = kinematics.inverse(place).tolist()
+            near = max(abs(b - a) for a, b in zip(joints_rad, (one, two, three), strict=True)) <= most_rad
+            if near and _spares(joints_rad, (one, two, three), known):
+                return (one, two, three), place[2] - z
+    raise UnsafeCommandError(
+        f"the way to ({1000.0 * x:.1f}, {1000.0 * y:.1f}, {1000.0 * z:.1f}) mm leads through the object, and none over it; "
+        "lift the arm by hand"
+    )
+
+
+def _spares(start_rad: JointPositions, end_rad: JointPositions, known: KnownObject) -> bool:
+    """Whether the cup comes no deeper into the object, on a straight way in angles, than it is or may be."""
+    allowed_m = known.depth_m(_cup_of(start_rad)) + _ROUNDING_M
+    widest_deg = math.degrees(max(abs(b - a) for a, b in zip(start_rad, end_rad, strict=True)))
+    pieces = math.ceil(widest_deg / _CLOSE_STEP_DEG) + 1
+    for piece in range(1, pieces + 1):
+        share = piece / pieces
+        q1, q2, q3 = (a + share * (b - a) for a, b in zip(start_rad, end_rad, strict=True))
+        if known.depth_m(_cup_of((q1, q2, q3))) > allowed_m:
+            return False
+    return True
+
+
+def _cup_of(joints_rad: JointPositions) -> tuple[float, float, float]:
+    x, y, z = kinematics.cup_position(joints_rad).tolist()
+    return x, y, z
 
 
 def _three_numbers(reference_rad: Sequence[float]) -> JointPositions:
@@ -142,8 +233,8 @@ def _check_path(start_deg: tuple[float, float, float], end_deg: tuple[float, flo
 
 
 def _cup(motor_deg: tuple[float, float, float]) -> tuple[float, float, float]:
-    x, y, z = kinematics.cup_position(kinematics.from_motor_deg(*motor_deg)).tolist()
-    return x, y, z
+    first, second, third = kinematics.from_motor_deg(*motor_deg).tolist()
+    return _cup_of((first, second, third))
 
 
 def _outside(cup_m: tuple[float, float, float], limits: Limits) -> tuple[float, str]:

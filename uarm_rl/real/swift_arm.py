@@ -12,7 +12,7 @@ from typing import Final
 
 from uarm_rl import checks, signals
 from uarm_rl.real import gcode
-from uarm_rl.real.audit import Limits, audit
+from uarm_rl.real.audit import KnownObject, Limits, audit
 from uarm_rl.real.handshake import PUMP_S, NotReadyError, greet
 from uarm_rl.real.link import BadReplyError, CommandRefusedError, Event, Link, NoReplyError
 from uarm_rl.task import kinematics
@@ -88,6 +88,9 @@ class SwiftArm:
         #: Firmware version, and how many references were pulled inside a limit so far.
         self.firmware = (0, 0, 0)
         self.clamps = 0
+        #: What stands in the way, and how many references were raised to spare it so far.
+        self.known: KnownObject | None = None
+        self.pull_ups = 0
         self._in_motion = False  # as far as is known
         self._awaited: int | None = None  # number of the move whose "ok" is due
         self._sent_s = 0.0  # when the last move was sent
@@ -247,8 +250,11 @@ class SwiftArm:
         return first, second, third
 
     def _move(self, reference_rad: Sequence[float], *, single_step: bool) -> None:
-        audited = audit(reference_rad, self._joints, feed=self._feed, limits=self._limits, single_step=single_step)
+        audited = audit(
+            reference_rad, self._joints, feed=self._feed, limits=self._limits, single_step=single_step, known=self.known
+        )
         self.clamps += audited.clamped
+        self.pull_ups += audited.pulled_up_m > 0.0
         speed = gcode.FEED_DEG_S * self._feed
         # An upper bound of the trapezoid's and the triangle's duration alike.
         duration_s = audited.distance_deg / speed + speed / gcode.ACCELERATION_DEG_S2

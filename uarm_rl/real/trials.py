@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
-from uarm_rl.real.audit import UnsafeCommandError
+from uarm_rl.real.audit import KnownObject, UnsafeCommandError
 from uarm_rl.real.swift_arm import PumpState, SwiftArm
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import Ghost
@@ -101,10 +101,16 @@ class Task:
     time_limit_s: float
     press_m: float
     max_press_m: float
+    object_size_m: tuple[float, float, float]
 
     def __post_init__(self) -> None:
         checks.number("press_m", self.press_m, low=0.0, high=0.01)
         checks.number("max_press_m", self.max_press_m, low=self.press_m, high=0.01)
+
+    def known(self, top_m: Vector) -> KnownObject:
+        """The object as the audit has to know it."""
+        x, y, z = top_m.tolist()
+        return KnownObject((x, y, z), self.object_size_m, self.max_press_m)
 
     def env(self, arm: SwiftArm) -> UArmSuctionEnv:
         """The environment over ``arm``."""
@@ -152,7 +158,8 @@ def run_trials(
     env = task.env(arm)
     at: Vector | None = None
     for number in range(first, trials + 1):
-        clamps = arm.clamps
+        clamps, pull_ups = arm.clamps, arm.pull_ups
+        arm.known = None
         row: Row = {"trial": number, "success": False, "reached": False, "firmware": "V{}.{}.{}".format(*arm.firmware)}
         picture = None
         try:
@@ -162,6 +169,7 @@ def run_trials(
             at = None
         else:
             picture, at = sighting.picture, sighting.target_m
+            arm.known = task.known(at)
             row |= dict(zip(("target_x_m", "target_y_m", "target_z_m"), at.tolist(), strict=True))
             row |= {"looks": sighting.looks, "camera_misfit_px": sighting.misfit_px}
             row |= {"camera_disagreement_m": sighting.disagreement_m}
@@ -169,10 +177,11 @@ def run_trials(
             row["success"] = not row["reason"]
             held = row["success"] or (put_down is not None and not out_of_reach(at) and _fetch(arm, at, task))
             if held:
+                arm.known = None  # it hangs from the cup
                 at = at if put_down is None else put_down(at)
                 lost = _put_down(arm, at)
                 row["reason"] = row["reason"] or lost
-        row["clamps"] = arm.clamps - clamps
+        row |= {"clamps": arm.clamps - clamps, "pull_ups": arm.pull_ups - pull_ups}
         yield Trial(row, picture)
 
 
