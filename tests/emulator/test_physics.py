@@ -24,6 +24,7 @@ from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.real.ports import camera_beside, is_emulated
+from uarm_rl.sim.cup import Bellows
 from uarm_rl.task import kinematics, positions
 
 emulate = pytest.importorskip("uarm_rl.emulator.emulate")  # which needs PyBullet
@@ -63,9 +64,13 @@ class Driven(physics.World):
         for _ in range(round(seconds / TICK_S)):
             self.drive(motor_deg or self.asked_deg, TICK_S)
 
-    def go(self, cup_m, speed_deg_s=60.0):
+    def go(self, cup_m):
         """Turn the motors until the cup is at ``cup_m``, and wait a moment."""
-        start, end = self.asked_deg, kinematics.to_motor_deg(kinematics.inverse(cup_m))
+        self.turn(kinematics.to_motor_deg(kinematics.inverse(cup_m)))
+
+    def turn(self, end, speed_deg_s=60.0):
+        """Turn the motors, and wait a moment."""
+        start = self.asked_deg
         steps = math.ceil(math.dist(start, end) / speed_deg_s / TICK_S) + 1
         for step in range(1, steps + 1):
             self.drive(tuple(a + step / steps * (b - a) for a, b in zip(start, end, strict=True)), TICK_S)
@@ -121,13 +126,34 @@ def test_motors_without_current_sag_onto_the_table_and_a_folded_arm_stays(world)
     assert world.tip_pressed()
 
 
+def test_an_arm_that_is_held_back_loses_steps_until_the_encoders_are_asked(caplog):
+    """Pressed 20 mm into a box: the motors cannot, and afterwards the joints are not where the pulses say."""
+    with Driven(cup=Bellows(400.0, 0.005, 0.003)) as world:
+        world.go_above(TOP_M, 0.01)
+        assert world.lost_deg == [0.0, 0.0, 0.0]
+        world.go((*TOP_M[:2], TOP_M[2] - 0.02))
+        assert world.hard_presses >= 1
+        assert {record.getMessage() for record in caplog.records if record.levelname == "WARNING"} == {
+            "the cup presses the object with more than 5 N",
+            "the motors lose steps: something holds the arm back",
+        }
+        lost_deg = np.array(world.lost_deg)
+        assert np.abs(lost_deg).max() > 0.5
+        world.go((*TOP_M[:2], 0.1))
+        assert np.subtract(world.asked_deg, world.motor_deg()) == pytest.approx(lost_deg, abs=0.05)
+        world.resynchronise()
+        world.asked_deg = world.motor_deg()  # as the firmware does
+        world.go((*TOP_M[:2], 0.08))
+        assert world.motor_deg() == pytest.approx(world.asked_deg, abs=0.02)
+
+
 def test_play_is_lost_motion_at_every_reversal():
     with Driven(backlash_deg=1.0) as world:
-        world.hold(0.5, (95.0, 118.0, 50.0))
+        world.turn((95.0, 118.0, 50.0))
         assert world.motor_deg()[0] == pytest.approx(94.5, abs=0.02)
-        world.hold(0.5, (94.1, 118.0, 50.0))
+        world.turn((94.1, 118.0, 50.0))
         assert world.motor_deg()[0] == pytest.approx(94.5, abs=0.02)
-        world.hold(0.5, (93.0, 118.0, 50.0))
+        world.turn((93.0, 118.0, 50.0))
         assert world.motor_deg()[0] == pytest.approx(93.5, abs=0.02)
 
 

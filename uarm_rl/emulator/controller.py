@@ -78,6 +78,7 @@ class Machine:
 
     def resynchronise(self) -> None:
         """Take the encoders' word for where the motors are."""
+        self.joints.resynchronise()
         self.motion.flush(self.encoders())
 
     def _cup_mm(self, motor_deg: MotorAngles) -> tuple[float, float, float]:

@@ -22,6 +22,7 @@ from uarm_rl.emulator.physics import Place, World
 from uarm_rl.emulator.pty import MAX_SPEED, PtyServer
 from uarm_rl.emulator.realism import Realism, Settings
 from uarm_rl.real.vision.camera_model import Calibration, nominal
+from uarm_rl.sim.cup import Bellows
 from uarm_rl.task import kinematics, positions
 
 _LOOKS: Final = ("box", "sticker", "tag")
@@ -63,7 +64,7 @@ class Workplace:
 
     ``firmware`` and ``camera`` are devices: ``MemoryPort`` makes ports of them, ``PtyServer`` terminals.
 
-    ``firmware``: V4.10, V4.5 or V3.2. ``sim``, ``realism``, ``faults``: the groups of that name in ``conf/``, as plain
+    ``firmware``: V4.10, V4.5 or V3.2. ``sim``, ``cup``, ``realism``, ``faults``: the groups of that name in ``conf/``, as plain
     values. ``object_position``: (x, y, z) in metres of the object's upper surface, or ``None`` for a random place that the
     cup can reach, at least ``nearest_m`` from the base's axis. ``replace_object``: see :class:`World`. ``look``: ``box``
     (painted all over), ``sticker`` (painted on top) or ``tag`` (an AprilTag on top). ``colour``: red, green, blue, 0 to
@@ -77,6 +78,7 @@ class Workplace:
         firmware: str | float,
         seed: int,
         sim: Mapping[str, Any],
+        cup: Mapping[str, Any],
         realism: Mapping[str, Any],
         faults: Mapping[str, Sequence[Mapping[str, Any]]],
         object_position: Sequence[float] | None,
@@ -113,6 +115,7 @@ class Workplace:
             World,
             world,
             _places(of_places, height_m, nearest_m, _position(object_position)),
+            cup=_cup(cup),
             nearest_m=nearest_m,
             replace_object=replace_object,
             backlash_deg=real.backlash_deg,
@@ -163,6 +166,14 @@ def _build(group: str, kind: Any, settings: Mapping[str, Any], *values: Any, **m
         return kind(*values, **settings, **more)
     except TypeError as error:
         raise ValueError(f"the keys of {group} do not fit: {error}") from error
+
+
+def _cup(settings: Mapping[str, Any]) -> Bellows | None:
+    if settings.get("name") not in ("rigid", "bellows"):
+        raise ValueError(f"cup is rigid or bellows, got {settings.get('name')!r}")
+    values = {key: value for key, value in settings.items() if key != "name"}
+    bellows: Bellows | None = _build("cup", Bellows, values) if settings["name"] == "bellows" else None
+    return bellows
 
 
 def _fault(kind: type[Fault], settings: Mapping[str, Any]) -> Any:

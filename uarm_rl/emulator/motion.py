@@ -32,6 +32,10 @@ class Joints(Protocol):
         """Where the joints really are."""
         ...
 
+    def resynchronise(self) -> None:
+        """The firmware takes the encoders' word for where the motors are: steps that were lost do not matter any more."""
+        ...
+
     def suck(self, on: bool) -> None:
         """Switch the pump."""
         ...
@@ -68,6 +72,9 @@ class KinematicJoints:
 
     def motor_deg(self) -> MotorAngles:
         return self.angles
+
+    def resynchronise(self) -> None:
+        """Nothing is ever lost here."""
 
     def suck(self, on: bool) -> None:
         self.sucking = on

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from uarm_rl import checks
 from uarm_rl.emulator.firmware import PARKED_DEG
 from uarm_rl.emulator.motion import MotorAngles, with_play
+from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.pybullet_arm import SimArm, bullet
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import JointPositions
@@ -31,6 +32,10 @@ log = logging.getLogger(__name__)
 Place = tuple[Sequence[float] | Vector, float]
 
 _NEAR_M: Final = 0.002  # a gap that the lip closes: the real one is 1.4 mm softer, PyBullet stops a rigid one 1.1 mm off
+_TOUCHES_M: Final = 0.0005  # bellows touch where their lip is
+_FULL_STEP_DEG: Final = 1.8 / 4.5  # of a motor, at the joint behind its gear: 32 microsteps of 0.0125 degrees
+_HARD_N: Final = 5.0  # more than it takes to flatten the bellows twice over
+_HARD_S: Final = 0.05  # for so long: a blow is no press
 _SQUEEZED_M: Final = 0.005
 _UPRIGHT: Final = math.cos(math.radians(8.0))
 _OVERLOAD_S: Final = 0.02  # of pulling too hard, until the seal breaks
@@ -77,6 +82,7 @@ class World:
         object_mass_kg: float,
         friction: float,
         exact_cup: bool = False,
+        cup: Bellows | None = None,
         gui: bool = False,
         replace_object: bool = False,
         nearest_m: float = 0.0,
@@ -96,8 +102,15 @@ class World:
             object_mass_kg=object_mass_kg,
             friction=friction,
             exact_cup=exact_cup,
+            cup=cup,
             gui=gui,
         )
+        #: Degrees by which the joints B, L, R stand behind the step pulses, and how often the cup pressed something too hard.
+        self.lost_deg = [0.0, 0.0, 0.0]
+        self.hard_presses = 0
+        self._slipping = False
+        self._hard_s = 0.0
+        self._near_m = _TOUCHES_M if cup else _NEAR_M
         self._powered_nm = self._arm.torques_nm
         self._dt_s = 1.0 / physics_hz
         self._half_m = 0.5 * object_size_m
@@ -134,7 +147,8 @@ class World:
             if motor_deg is None:
                 self._reference_deg = self._motors.target = None
             else:
-                self._reference_deg = with_play(self._reference_deg or self.motor_deg(), motor_deg, self._backlash_deg)
+                b, left, right = (angle - lost for angle, lost in zip(motor_deg, self.lost_deg, strict=True))
+                self._reference_deg = with_play(self._reference_deg or self.motor_deg(), (b, left, right), self._backlash_deg)
                 joint1, joint2, joint3 = kinematics.from_motor_deg(*self._reference_deg).tolist()
                 self._motors.target = joint1, joint2, joint3
             self._arm.torques_nm = _LIMP_NM if motor_deg is None else self._powered_nm
@@ -142,6 +156,24 @@ class World:
             while self._due_s >= self._dt_s:
                 self._due_s -= self._dt_s
                 self._step()
+                if self._reference_deg is not None:
+                    self._slip(self._reference_deg)
+
+    def _slip(self, wanted_deg: MotorAngles) -> None:
+        """A stepper that is held back by more than a full step loses what is beyond it, and nobody tells the firmware."""
+        beyond = []
+        for wanted, at in zip(wanted_deg, self.motor_deg(), strict=True):
+            beyond.append(math.copysign(max(0.0, abs(wanted - at) - _FULL_STEP_DEG), wanted - at))
+        self.lost_deg = [lost + more for lost, more in zip(self.lost_deg, beyond, strict=True)]
+        slipping = any(beyond)
+        if slipping and not self._slipping:
+            log.warning("the motors lose steps: something holds the arm back")
+        self._slipping = slipping
+
+    def resynchronise(self) -> None:
+        """The firmware takes the encoders' word for where the motors are."""
+        with self._lock:
+            self.lost_deg = [0.0, 0.0, 0.0]
 
     def motor_deg(self) -> MotorAngles:
         """Where the joints really are."""
@@ -181,12 +213,12 @@ class World:
             self._put_object((top_m, yaw_rad))
 
     def cup_pose(self) -> Vector:
-        """The cup's frame in the base's, (4, 4): origin at its tip, x forward along the arm, z up."""
+        """The cup's frame in the base's, (4, 4): origin at its tip when nothing presses it, x forward along the arm, z up."""
         with self._lock:
-            state = self._cup_state()
+            state, compressed_m = self._cup_state(), self._arm.compression_m()
         pose = np.eye(4)
         pose[:3, :3] = np.reshape(bullet.getMatrixFromQuaternion(state[5]), (3, 3))
-        pose[:3, 3] = state[4]
+        pose[:3, 3] = state[4] - compressed_m * pose[:3, 2]
         return pose
 
     def view(self, camera_matrix: Vector, size: tuple[int, int], cup_from_camera: Vector) -> View:
@@ -236,6 +268,11 @@ class World:
     def _step(self) -> None:
         self._arm.advance()
         cup = self._cup_state()[4]
+        before_s = self._hard_s
+        self._hard_s = before_s + self._dt_s if self._arm.contact_n() > _HARD_N else 0.0
+        if before_s < _HARD_S <= self._hard_s:
+            self.hard_presses += 1
+            log.warning("the cup presses the object with more than %g N", _HARD_N)
         self._sealed_on = self._seal(cup)
         self._sealed_s = self._sealed_s + self._dt_s if self._sealed_on and self._sucking else 0.0
         if self._constraint is None:
@@ -263,11 +300,11 @@ class World:
         (x, y, z), _ = bullet.multiplyTransforms(*bullet.invertTransform(position, orientation), cup_m, (0, 0, 0, 1))
         upright = bullet.getMatrixFromQuaternion(orientation)[8]
         inside = half - CUP_RADIUS_M
-        if upright >= _UPRIGHT and abs(x) <= inside and abs(y) <= inside and -_SQUEEZED_M <= z - half <= _NEAR_M:
+        if upright >= _UPRIGHT and abs(x) <= inside and abs(y) <= inside and -_SQUEEZED_M <= z - half <= self._near_m:
             return "object"
         beside = max(abs(x), abs(y)) > half + CUP_RADIUS_M
         on_table = abs(cup_m[0] - 0.1) <= _TABLE_TOP[0] - CUP_RADIUS_M and abs(cup_m[1]) <= _TABLE_TOP[1] - CUP_RADIUS_M
-        return "table" if cup_m[2] <= _NEAR_M and beside and on_table else None
+        return "table" if cup_m[2] <= self._near_m and beside and on_table else None
 
     def _contact_n(self) -> float:
         client, arm, link, *_ = self._arm.bodies

@@ -10,7 +10,7 @@ from uarm_rl import checks
 
 _RETURN_S: Final = 0.02  # silicone comes back within a few hundredths of a second
 _FASTEST_M_S: Final = 0.5
-_HANGS_N: Final = 1.0  # more than the lip's weight
+_HANGS_N: Final = 20.0  # stretched out it is stiff, whatever hangs from it
 _STOP: Final = 10.0  # folds that lie on each other are so much stiffer
 
 

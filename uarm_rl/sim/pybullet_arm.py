@@ -208,6 +208,10 @@ class SimArm(SimulatedArm):
         position, (x, y, z, w) = bullet.getBasePositionAndOrientation(self._object, physicsClientId=self._client)
         return *position, w, x, y, z
 
+    def compression_m(self) -> float:
+        """How far the bellows are pressed together; 0 for a rigid cup."""
+        return float(bullet.getJointState(self._arm, _CUP, physicsClientId=self._client)[0]) if self._bellows else 0.0
+
     def contact_n(self) -> float:
         contacts = bullet.getContactPoints(self._arm, self._object, _CUP, physicsClientId=self._client)
         return float(sum(contact[9] for contact in contacts))
