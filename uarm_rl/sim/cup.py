@@ -51,3 +51,7 @@ class Bellows:
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ET.SubElement(joint, "limit", lower="1", upper="-1", effort="100", velocity="10")  # none
         return ET.tostring(robot, encoding="unicode")
+
+
+def rigid() -> None:
+    """No bellows: the cup is one with the hand."""
