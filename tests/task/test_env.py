@@ -192,3 +192,43 @@ def test_an_exploding_simulation_ends_the_episode_and_only_that(make_env, monkey
     env.reset(options={"object_position": TARGET})
     *_, truncated, info = env.step(np.zeros(3, np.float32))
     assert (truncated, info["exploded"]) == (False, False)
+
+
+# Leaning
+
+
+def test_a_ghost_bears_nothing(make_env):
+    """Told the same target with nothing there, a cup that goes down goes through; over the box it is stopped."""
+    deepest = {}
+    for ghost in (False, True):
+        env = make_env("buffer=adaptive")
+        env.reset(options={"object_position": (0.2, 0.0, 0.03), "ghost": ghost})
+        infos = [env.step(np.array([0.0, 0.6, 0.1], np.float32))[4] for _ in range(9)]
+        assert {info["ghost"] for info in infos} == {ghost}
+        deepest[ghost] = max(info["press_m"] for info in infos)
+        assert (max(info["contact_n"] for info in infos) > 0.5) is not ghost
+        assert max(info["reference_press_m"] for info in infos) > 0.01
+        assert infos[-1]["object_position"][2] == pytest.approx(0.03, abs=1e-3)
+    assert deepest[False] < 0.002 < 0.01 < deepest[True]
+
+
+def test_a_share_of_the_episodes_has_ghosts(make_env):
+    env = make_env("ghost_share=0.5")
+    kinds = [env.reset(seed=0)[1]["ghost"], *(env.reset()[1]["ghost"] for _ in range(39))]
+    assert 10 < sum(kinds) < 30
+    kind = env.reset()[1]["ghost"]
+    assert {env.reset(options={"home": False})[1]["ghost"] for _ in range(10)} == {kind}  # until the arm goes home
+    again = [env.reset(seed=0)[1]["ghost"], *(env.reset()[1]["ghost"] for _ in range(39))]
+    assert again == kinds
+
+
+def test_pressing_costs_what_the_reward_says(make_env):
+    rewards = {}
+    for pressing in (0.0, -10.0):
+        env = make_env("buffer=adaptive", f"reward.pressing={pressing}")
+        env.reset(options={"object_position": (0.2, 0.0, 0.03), "ghost": True})
+        steps = [env.step(np.array([0.0, 0.6, 0.1], np.float32)) for _ in range(9)]
+        rewards[pressing] = np.array([reward for _, reward, *_ in steps])
+        presses = np.array([info["press_m"] for *_, info in steps])
+    np.testing.assert_allclose(rewards[0.0] - rewards[-10.0], 10.0 * presses, atol=1e-9)
+    assert presses.max() > 0.01
