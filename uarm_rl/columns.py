@@ -84,6 +84,8 @@ PROGRESS: Final = _columns(
     ),
 )
 
+_LEANS: Final = "2026-11-27"
+
 #: What the test of a policy shows: a row a position.
 MEASURED: Final = _columns(
     Column("position", WHOLE, "", "number of the position, from 0"),
@@ -98,21 +100,6 @@ MEASURED: Final = _columns(
     Column("rms_jerk", FINITE, "m/s³", "root mean square of the tip's third derivative"),
     Column("tip_travel_last_s_m", FINITE, "m", "length of the tip's path in the last second"),
     Column("decisions", WHOLE, "", "commands sent"),
-    Column(
-        "press_m",
-        FINITE,
-        "m",
-        "the deepest that the cup was below the object's upper surface while over it",
-        since="2026-11-27",
-    ),
-    Column("reference_press_m", FINITE, "m", "the same of the cup as it was commanded", since="2026-11-27"),
-    Column(
-        "contact_n",
-        FINITE,
-        "N",
-        "normal force between cup and object, the most",
-        since="2026-11-27",
-    ),
 )
 #: Under which conditions, the same in all rows of a file.
 CONDITIONS: Final = _columns(
@@ -121,11 +108,17 @@ CONDITIONS: Final = _columns(
     Column("control_hz", FINITE, "1/s", "control steps a second", since="2026-11-22"),
     Column("servo_rise_s", FINITE, "s", "the servo's rise time, 10 to 90 % of 0.15 rad", since="2026-11-22"),
     Column("sigma", FINITE, "1/m", "of the method's own reward: the punishment for moving the object", since="2026-11-22"),
-    Column("object", TEXT, "", "`solid`, or `ghost`: the target is told and nothing is there", since="2026-11-27"),
-    Column("cup", TEXT, "", "`rigid` or `bellows`", since="2026-11-27"),
     Column("engine", TEXT, "", "`pybullet` or `mujoco`; in older files it is PyBullet", since="2026-11-27"),
 )
-EVALUATION: Final[Columns] = {**MEASURED, **CONDITIONS}
+#: How the arm leans on the object: where that is asked for, or the object a ghost, or the cup one that gives.
+LEANING: Final = _columns(
+    Column("press_m", FINITE, "m", "the deepest that the cup was below the object's upper surface while over it", since=_LEANS),
+    Column("reference_press_m", FINITE, "m", "the same of the cup as it was commanded", since=_LEANS),
+    Column("contact_n", FINITE, "N", "normal force between cup and object, the most", since=_LEANS),
+    Column("object", TEXT, "", "`solid`, or `ghost`: the target is told and nothing is there", since=_LEANS),
+    Column("cup", TEXT, "", "`rigid` or `bellows`", since=_LEANS),
+)
+EVALUATION: Final[Columns] = {**MEASURED, **CONDITIONS, **LEANING}
 
 #: The arm and the object at one instant.
 STATE: Final = _columns(

@@ -50,7 +50,7 @@ def test_every_choice_builds(group, choice):
     if group == "sim":
         pytest.importorskip(ENGINES[choice], reason=f"{ENGINES[choice]} is not installed")
     one = configuration.build(group, cli_settings(group, choice), **RUNTIME.get(group, {}))
-    assert one is not None
+    assert one is not None or choice == "rigid"  # a cup without bellows
     if group == "sim":
         one.close()
 

@@ -150,6 +150,9 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     if tested:
         print(f"{run_dir}: {len(rows)} positions recorded; {_traces(out)}")
         return
-    write_rows(out, columns.EVALUATION, rows)
+    leaning = checks.boolean("leaning", settings["leaning"]) or thing == "ghost" or run_settings["cup"]["name"] != "rigid"
+    left_out = set() if leaning else columns.LEANING.keys()
+    names = [name for name in columns.EVALUATION if name not in left_out]
+    write_rows(out, names, [{name: row[name] for name in names} for row in rows])
     successes = sum(bool(row["success"]) for row in rows)
     print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")
