@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.conftest import needs_pybullet
 from tests.hostile import files, play, words
 from uarm_rl import checks, cli, configuration
 from uarm_rl.checks import UsageError
@@ -120,7 +121,9 @@ def every_setting(settings: dict[str, Any], prefix: str) -> Iterator[tuple[str, 
         (("train", "sim.name=box"), "sim.name must be one of pybullet, mujoco, got 'box'"),
         (("doctor", "calibration=3"), "calibration must be a text, got 3"),
         (("doctor", "policy=null"), "policy must be a text, got None"),
-        (("emulate", "colour=red"), "colour must be a list, as in colour=[217,38,26], got 'red'"),
+        pytest.param(
+            ("emulate", "colour=red"), "colour must be a list, as in colour=[217,38,26], got 'red'", marks=needs_pybullet
+        ),
         (("run-real", "resume=7", "dry_run=true"), "resume must be true or false, got 7"),
         (("report", "results_dir=[1]"), "results_dir must be a text, got [1]"),
     ],

@@ -9,6 +9,7 @@ import pytest
 
 from tests.conftest import FAST, uarm_rl
 from uarm_rl import cli, configuration
+from uarm_rl.sim import engines
 
 SHORT = ("episodes=1", "experiences_per_episode=20", "warmup_experiences=20", "time_limit_s=0.1", "simulate_beside=false")
 TINY = tuple({word.partition("=")[0]: word for word in (*FAST, *SHORT)}.values())
@@ -49,7 +50,7 @@ def test_a_failing_job_is_told_once_and_does_not_stop_the_others(run, tmp_path):
 
 
 def test_likewise_beside_each_other(tmp_path):
-    done = uarm_rl(*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
+    done = uarm_rl(*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"sim={engines.installed()}", cwd=tmp_path)
     assert (done.returncode, told(done.stderr).splitlines()) == (2, TOLD)
     assert (tmp_path / "results" / "gamma-0.9" / "seed3" / "policy.safetensors").exists()
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import sys
 from collections import Counter
-from ctypes.util import find_library
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
@@ -32,8 +33,10 @@ from uarm_rl.task.arm import ArmError, JointPositions
 from uarm_rl.task.kinematics import Vector
 
 # Read by MuJoCo when it is imported; without it a picture needs a screen, and without the library the import would fail.
-if sys.platform.startswith("linux") and not os.environ.get("DISPLAY") and find_library("EGL"):
-    os.environ.setdefault("MUJOCO_GL", "egl")
+if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+    with suppress(OSError):
+        ctypes.CDLL("libEGL.so.1")
+        os.environ.setdefault("MUJOCO_GL", "egl")
 
 try:
     import mujoco
