@@ -13,7 +13,8 @@ from uarm_rl.sim import engines
 
 SHORT = ("episodes=1", "experiences_per_episode=20", "warmup_experiences=20", "time_limit_s=0.1", "simulate_beside=false")
 TINY = tuple({word.partition("=")[0]: word for word in (*FAST, *SHORT)}.values())
-SWEEP = ("train", "-m", "seed=3", "agent.gamma=2,0.9", "name=gamma-${agent.gamma}", *TINY)
+USUAL = f"sim={engines.installed()}"  # of which no note is told
+SWEEP = ("train", "-m", "seed=3", "agent.gamma=2,0.9", "name=gamma-${agent.gamma}", USUAL, *TINY)
 TOLD = [
     "failed: agent.gamma=2: agent.gamma must be a number from 0 to 1, got 2",
     "error: 1 of 2 jobs failed: agent.gamma=2",
@@ -50,7 +51,7 @@ def test_a_failing_job_is_told_once_and_does_not_stop_the_others(run, tmp_path):
 
 
 def test_likewise_beside_each_other(tmp_path):
-    done = uarm_rl(*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"sim={engines.installed()}", cwd=tmp_path)
+    done = uarm_rl(*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
     assert (done.returncode, told(done.stderr).splitlines()) == (2, TOLD)
     assert (tmp_path / "results" / "gamma-0.9" / "seed3" / "policy.safetensors").exists()
 

@@ -90,8 +90,9 @@ _CHANGES: dict[str, tuple[tuple[int, int | None], ...]] = {
     **dict.fromkeys(("shutil.copyfile", "shutil.copytree", "shutil.unpack_archive"), ((1, None),)),
 }
 _WRITE_FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-#: Parts of the standard library that make code from their caller's names, and parsers that make none.
-_GENERATORS = ("/typing.py", "/dataclasses.py", "/collections/__init__.py", "/ast.py")
+#: Parts of the standard library that make code from their caller's names, parsers that make none, and who calls MuJoCo's
+#: bindings, which are C and make a word of code to see what a warning's handler is.
+_GENERATORS = ("/typing.py", "/dataclasses.py", "/collections/__init__.py", "/ast.py", "/sim/mujoco_arm.py")
 #: What reads files and could make code from them.
 _READERS = ("/matplotlib/", "/yaml/", "/hydra/", "/omegaconf/", "/uarm_rl/")
 _ROOT = Path(__file__).parents[2]
