@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from uarm_rl.report.records import Method
+    from uarm_rl.report.records import Line, Method
 
 
 class _Style(NamedTuple):
     """Told apart by colour, and without colour by line and marker."""
 
     colour: str = "black"
-    line: str = ":"
+    line: Line = ":"
     marker: str = "^"
 
 
@@ -32,7 +32,7 @@ _BUFFERS: Final = {
     "uniform": _Style("#CC79A7", "--", "s"),
     "steady_only": _Style("#56B4E9", "-.", "D"),
     "unstuck_only": _Style("#D55E00", ":", "v"),
-    "fixed_hold": _Style("#0072B2", "--", "P"),
+    "fixed_hold": _Style("#0072B2", (0, (6, 1, 1, 1, 1, 1)), "P"),
 }
 _MARKERS: Final = ("o", "s", "D", "v", "^", "P", "X")
 _INTERVAL: Final = "bars: 95 % interval"

@@ -27,6 +27,10 @@ class ReportError(ValueError):
     """A sentence: why no report can be made of a folder, and what to do."""
 
 
+#: A style of Matplotlib: a name, or an offset and the lengths of dashes and gaps.
+Line = str | tuple[int, tuple[int, ...]]
+
+
 class Method(NamedTuple):
     """A row of Table 1; ``folder`` is the run's ``name`` below the results folder."""
 
@@ -35,7 +39,7 @@ class Method(NamedTuple):
     buffer: str = ""
     reward: str = ""
     colour: str = "#000000"
-    line: str = "-"
+    line: Line = "-"
 
     @property
     def words(self) -> str:
@@ -52,11 +56,16 @@ METHODS: Final = (
     Method("C", "adaptive-penalty", "adaptive", "penalty", "#009E73", "-."),
     Method("D", "uniform-penalty", "uniform", "penalty", "#CC79A7", ":"),
 )
-INVERSE_KINEMATICS: Final = Method("IK", "ik", colour="#000000", line=":")
+INVERSE_KINEMATICS: Final = Method("IK", "ik", colour="#000000", line=(0, (1, 3)))
 #: Method C trained against the firmware's own motion.
-REAL_ARM: Final = Method("real_arm", "real_arm", "adaptive", "penalty", "#D55E00", "-")
+REAL_ARM: Final = Method("real_arm", "real_arm", "adaptive", "penalty", "#D55E00", (0, (6, 1, 1, 1, 1, 1)))
 #: Colours and lines of other runs, again and again.
-_OTHERS: Final = (("#56B4E9", "-"), ("#F0E442", "--"), ("#777777", "-."), ("#8C564B", ":"))
+_OTHERS: Final[tuple[tuple[str, Line], ...]] = (
+    ("#56B4E9", (0, (8, 2))),
+    ("#F0E442", (0, (2, 1))),
+    ("#777777", (0, (5, 3, 1, 3))),
+    ("#8C564B", (0, (1, 2, 1, 4))),
+)
 
 #: Columns that say how restless an arm is: heading in the printed tables, factor to the heading's unit, decimals.
 SHAKING: Final = {
