@@ -402,7 +402,7 @@ class Client:
 
 
 def test_an_independent_client_picks_the_object_up():
-    process, path, _ = start("object_position=[0.25,0.03,0.03]", "speed=20", "replace_object=false")
+    process, path, _ = start("object_position=[0.25,0.03,0.03]", "speed=20", "replace_object=false", "cup=bellows")
     client = Client(path)
     client.until(rb"@5 V1\n")
     assert client.ask("P2203") == "ok V4.10.0"

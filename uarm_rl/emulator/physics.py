@@ -12,14 +12,14 @@ import threading
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from types import TracebackType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.emulator.firmware import PARKED_DEG
 from uarm_rl.emulator.motion import MotorAngles, with_play
+from uarm_rl.emulator.view import NEAREST_M, View, clockwise, projection
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.pybullet_arm import SimArm, bullet
 from uarm_rl.task import kinematics, positions
@@ -49,16 +49,6 @@ _LOOK_S: Final = 0.1  # how often that hand looks
 _MOVED_M: Final = 0.005
 _TABLE_TOP: Final = (0.5, 0.8)  # m from its centre to its edges
 _HOLDS_AT_MOST: Final = 10.0  # times the suction; more than the seal is ever asked to bear before it breaks
-_NEAREST_M, _FARTHEST_M = 0.01, 3.0  # what the camera can see
-
-
-class View(NamedTuple):
-    """What an ideal pinhole camera sees."""
-
-    colours: NDArray[np.uint8]  # (h, w, 3), red, green, blue
-    background: NDArray[np.bool_]  # (h, w): nothing but the table
-    object: NDArray[np.bool_]  # (h, w)
-    top_px: Vector | None  # (4, 2) corners of the object's upper surface, clockwise as seen; None if it faces away
 
 
 class World:
@@ -233,7 +223,7 @@ class World:
                 width,
                 height,
                 seen_from.T.ravel().tolist(),
-                _projection(camera_matrix, size).T.ravel().tolist(),
+                projection(camera_matrix, size).T.ravel().tolist(),
                 lightDirection=(0.5, -0.7, 1.5),
                 lightColor=(1.0, 1.0, 1.0),
                 lightAmbientCoeff=0.55,
@@ -249,7 +239,7 @@ class World:
         from_camera = (np.linalg.inv(base_from_camera) @ np.c_[corners, np.ones(4)].T)[:3]
         seen_px = camera_matrix @ from_camera
         top_px = (seen_px[:2] / seen_px[2]).T
-        in_front = bool(np.all(from_camera[2] > _NEAREST_M)) and _clockwise(top_px)
+        in_front = bool(np.all(from_camera[2] > NEAREST_M)) and clockwise(top_px)
         return View(colours, (bodies == -1) | (bodies == table), bodies == box, top_px if in_front else None)
 
     def close(self) -> None:
@@ -398,25 +388,3 @@ class _Motors:
             return 0.0, 0.0, 0.0
         (r1, r2, r3), (q1, q2, q3) = self.target, joints
         return (r1 - q1) / dt, (r2 - q2) / dt, (r3 - q3) / dt
-
-
-def _projection(camera_matrix: Vector, size: tuple[int, int]) -> Vector:
-    """OpenGL's projection matrix of a pinhole camera."""
-    (fx, _, cx), (_, fy, cy), _ = camera_matrix.tolist()
-    width, height = size
-    cy += 1.0  # the renderer is one pixel off in this direction
-    near, far = _NEAREST_M, _FARTHEST_M
-    return np.array(
-        [
-            [2.0 * fx / width, 0.0, 1.0 - 2.0 * cx / width, 0.0],
-            [0.0, 2.0 * fy / height, 2.0 * cy / height - 1.0, 0.0],
-            [0.0, 0.0, -(far + near) / (far - near), -2.0 * far * near / (far - near)],
-            [0.0, 0.0, -1.0, 0.0],
-        ]
-    )
-
-
-def _clockwise(polygon_px: Vector) -> bool:
-    """Whether the corners, v pointing down, go around clockwise."""
-    x, y = polygon_px.T
-    return bool(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0)
