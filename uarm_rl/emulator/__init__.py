@@ -3,7 +3,7 @@
 Read ``firmware.py`` first: bytes and time in, bytes out. ``firmware_3_2.py`` is the older dialect. Behind it:
 
 - ``controller.py``: what the commands do; ``motion.py``: the planner; ``geometry.py``: the firmware's own arithmetic
-- ``physics.py``: arm, table, box and suction in PyBullet; ``camera.py``, ``optics.py`` and ``view.py``: the camera and what it sees
+- ``physics.py``: arm, table, box and suction in PyBullet; ``camera.py``: the camera; ``optics.py``, ``view.py``: what it sees
 - ``realism.py``: how far from perfect it all is; ``faults.py``: what may go wrong
 
 In front: ``pty.py`` (pseudo-terminals), ``memory_port.py`` (a port in memory, with its own clock), ``emulate.py`` (all of it).
