@@ -53,7 +53,7 @@ def in_pybullet(folder: Path) -> tuple[Ends, list]:
 
 
 def in_mujoco(folder: Path) -> tuple[Ends, list]:
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = pytest.importorskip("uarm_rl.sim.mujoco_arm").mujoco
     model = mujoco.MjModel.from_xml_path(str(folder / "uarm_swift_pro.xml"))
     data = mujoco.MjData(model)
 
@@ -77,7 +77,7 @@ def test_the_cup_is_where_the_geometry_has_it_and_the_limits_are_the_arms(folder
 
 
 def test_in_mujoco_three_motors_move_the_arm_and_its_rods_keep_the_cup_upright(folder):
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = pytest.importorskip("uarm_rl.sim.mujoco_arm").mujoco
     model = mujoco.MjModel.from_xml_path(str(folder / "uarm_swift_pro.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
