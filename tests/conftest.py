@@ -19,7 +19,7 @@ from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import PolicyCard
 
 if find_spec("mujoco"):  # before a test imports it: how MuJoCo draws is settled then
-    import uarm_rl.sim.mujoco_arm  # noqa: F401
+    import uarm_rl.sim.mujoco_arm
 
 #: The same examples every time, however long they take: a suite that fails tomorrow without a change is no help.
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
