@@ -300,8 +300,11 @@ def main() -> None:
     parts = ("kills", "files", "hostile")
     parser.add_argument("--only", nargs="+", choices=parts, default=parts, help="parts of the table")
     parser.add_argument("--seed", type=int, default=0, help="of the instants")
+    parser.add_argument("--sim", default="auto", help="engine of the trainings: auto, pybullet or mujoco")
     parser.add_argument("--out", type=Path, help="CSV file for the table")
     arguments = parser.parse_args()
+    global TOY  # the children are forks
+    TOY = (*TOY, f"sim={arguments.sim}")
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     rows = []
     with tempfile.TemporaryDirectory() as folder:
