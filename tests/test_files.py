@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -48,6 +49,7 @@ def test_a_failed_write_keeps_the_old_file(tmp_path):
     assert path.read_text() == "x\n1\n"
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="pathlib of Python 3.10 keeps names of its own of what fails here")
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
 def test_whatever_fails_during_a_replacement_a_whole_file_is_there(tmp_path, error):
     def fail():

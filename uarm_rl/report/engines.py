@@ -114,7 +114,9 @@ def _apart(path: Path) -> str:
     cells = []
     for motion, episodes in rows.groupby("motion", sort=False):
         apart = [
-            1000.0 * value for name in ("cup_apart_m", "object_apart_m") for value in episodes[name].agg(["median", "max"])
+            1000.0 * value
+            for name in ("cup_apart_m", "object_apart_m")
+            for value in episodes[name].dropna().agg(["median", "max"])
         ]
         cells.append([str(motion), str(len(episodes)), *("-" if value != value else f"{value:.2g}" for value in apart)])
     headings = (
