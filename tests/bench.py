@@ -147,5 +147,6 @@ class Tap(Firmware):
     def wait_until_parked(self):
         """The driver does not wait for its last move, so the emulator may hear of it later."""
         end_s = time.monotonic() + 20.0
-        while not self.heard.endswith(b"G2206 B90.000 L118.000 R50.000 F20.0\n") and time.monotonic() < end_s:
+        while not self.heard.endswith(b"G2206 B90.000 L118.000 R50.000 F20.0\n"):
+            assert time.monotonic() < end_s, f"never parked: {self.heard[-200:]!r}"
             time.sleep(0.005)

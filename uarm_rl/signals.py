@@ -27,8 +27,8 @@ def heard(react: Callable[[int], None]) -> Iterator[None]:
     def handle(number: int, frame: FrameType | None) -> None:
         react(number)
 
-    ours = [number for number in STOPS if number in STOPS[:2] or signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, handle) for number in ours}
+    ignored = {number for number in STOPS[2:] if signal.getsignal(number) is signal.SIG_IGN}
+    before = {number: signal.signal(number, handle) for number in STOPS if number not in ignored}
     try:
         yield
     finally:

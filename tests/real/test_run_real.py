@@ -321,8 +321,10 @@ def test_signals_end_it_with_the_pump_off_and_the_arm_parked(served, tmp_path, n
     server, firmware = served
     words = [sys.executable, "-m", "uarm_rl.cli", "run-real", "--port", server.path, *TARGET, "--trials", "999", *FAST]
     process = subprocess.Popen(list(map(str, words)), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    end_s = time.monotonic() + 60.0
     while b"M2231 V1" not in firmware.heard:
         assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end_s, "the pump was never switched on"
         time.sleep(0.001)
     for number in numbers:
         os.kill(process.pid, number)

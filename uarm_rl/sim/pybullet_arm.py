@@ -110,12 +110,12 @@ class SimArm(SimulatedArm):
         self._cup_flags = bullet.URDF_USE_IMPLICIT_CYLINDER if exact_cup or cup else 0
         self._driven = (*_JOINTS, _CUP) if cup else _JOINTS
         self._client = self._connect(gui)
-        self._urdf = str(urdf())
-        self._folder = TemporaryDirectory(prefix="uarm-rl-") if cup else None  # PyBullet reads files alone
-        if cup and self._folder:
-            text = cup.joined(Path(self._urdf).read_text())
-            self._urdf = str(Path(self._folder.name) / "arm.urdf")
-            Path(self._urdf).write_text(text)
+        self._urdf = urdf()
+        self._folder: TemporaryDirectory[str] | None = None
+        if cup is not None:  # PyBullet reads files alone
+            self._folder = TemporaryDirectory(prefix="uarm-rl-")
+            text, self._urdf = cup.joined(self._urdf.read_text()), Path(self._folder.name, "arm.urdf")
+            self._urdf.write_text(text)
         self._arm = self._object = self._table = -1
         self.home()
 
@@ -150,7 +150,7 @@ class SimArm(SimulatedArm):
         self._table = table = self._box(TABLE_HALF_EXTENTS_M, 0.0, TABLE_CENTRE_M, TABLE_COLOUR)
         half = self._object_size_m / 2.0
         self._object = self._box((half, half, half), self._object_mass_kg, (*PARKED_M, half), OBJECT_COLOUR)
-        self._arm = bullet.loadURDF(self._urdf, useFixedBase=True, flags=self._cup_flags, **client)
+        self._arm = bullet.loadURDF(str(self._urdf), useFixedBase=True, flags=self._cup_flags, **client)
         for body in (table, self._object):
             bullet.changeDynamics(body, -1, lateralFriction=self._friction, **client)
         for link in range(-1, _CUP + 1):
