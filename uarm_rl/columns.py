@@ -118,7 +118,19 @@ LEANING: Final = _columns(
     Column("object", TEXT, "", "`solid`, or `ghost`: the target is told and nothing is there", since=_LEANS),
     Column("cup", TEXT, "", "`rigid` or `bellows`", since=_LEANS),
 )
-EVALUATION: Final[Columns] = {**MEASURED, **CONDITIONS, **LEANING}
+#: How near the cup came to stay: where success does not end the test.
+SETTLED: Final = _columns(
+    Column(
+        "settled_distance_m",
+        FINITE,
+        "m",
+        "the least, over all windows of `dwell_s`, of the largest distance from cup to target in one; success at a tolerance "
+        "is a comparison with it; empty if the object was lost before",
+        empty=True,
+        since="2026-11-28",
+    ),
+)
+EVALUATION: Final[Columns] = {**MEASURED, **CONDITIONS, **LEANING, **SETTLED}
 
 #: The arm and the object at one instant.
 STATE: Final = _columns(

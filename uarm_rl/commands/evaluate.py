@@ -6,6 +6,7 @@ Examples:
   uarm-rl evaluate run=results/adaptive-penalty/seed0 tolerance_m=0.002 out=strict.csv
   uarm-rl evaluate positions=heldout out=heldout.csv  that file in the folder of every trained run
   uarm-rl evaluate sim=mujoco out=mujoco.csv          the same in the other engine
+  uarm-rl evaluate until=time_limit out=settled.csv   how near the cup comes to stay: success at every tolerance
 """
 
 from __future__ import annotations
@@ -22,17 +23,20 @@ from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose, in_engine, load_policy, read_run
 from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.evaluate import evaluate
-from uarm_rl.evaluation.measures import Row, measure, trace_rows
+from uarm_rl.evaluation.measures import Row, measure, settled_distance_m, trace_rows
 from uarm_rl.files import POLICY
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
+from uarm_rl.task.env import dwell_steps
 
 
 def run(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
     workers.one_thread()
     results_dir = checks.path("results_dir", settings["results_dir"])
-    changed = [key for key, usual in (("positions", "test"), ("object", "solid")) if settings[key] != usual]
+    changed = [
+        key for key, usual in (("positions", "test"), ("object", "solid"), ("until", "success")) if settings[key] != usual
+    ]
     changed += [key for key in ("tolerance_m", "time_limit_s", "hold", "sim", "cup") if settings.get(key) is not None]
     file = checks.text("out", settings["out"] or "evaluation.csv")
     if changed and (not settings["out"] or (file == "evaluation.csv" and not settings["run"])):
@@ -106,16 +110,14 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     if not _is_due(settings, out):
         raise UsageError(f"{out} exists already; out=FILE writes elsewhere")
     files.check_place(out)
-    run_settings = run_settings | {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
-    if settings.get("hold"):
-        run_settings = run_settings | {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}}
-    if settings.get("cup"):
-        run_settings = run_settings | {"cup": settings["cup"]}
-    run_settings = in_engine(run_settings, settings.get("sim"))
+    run_settings = _under_test(settings, run_settings)
+    settling = checks.one_of("until", settings["until"], ("success", "time_limit")) == "time_limit"
     thing = checks.one_of("object", settings["object"], ("solid", "ghost"))
     where = positions.load_named(str(settings["positions"]))
     policy = load_policy(run_dir, settings["policy"], run_settings)
-    make = partial(build_env, run_settings, time_limit_s=run_settings["time_limit_s"])
+    time_limit_s = run_settings["time_limit_s"]
+    endless = {"dwell_s": time_limit_s + 1.0} if settling else {}  # who has to stay longer than there is time never succeeds
+    make = partial(build_env, run_settings | endless, time_limit_s=time_limit_s)
     make().close()  # a bad value shows here, as a sentence, and not in a worker
     processes = workers.cores() if settings["workers"] is None else checks.integer("workers", settings["workers"], low=1)
     traced = checks.integer("traces", settings["traces"], low=0)
@@ -124,22 +126,18 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
         where = where[:traced]
     common_reward = build("reward", settings["common_reward"])
     control_hz = run_settings["control_hz"]
-    conditions = {
-        "tolerance_m": run_settings["tolerance_m"],
-        "hold": str(build("hold", run_settings["buffer"]["hold"])),
-        "control_hz": control_hz,
-        "servo_rise_s": rise_time_s(build("servo", run_settings["servo"])),
-        "sigma": run_settings["reward"]["sigma"],
-        "object": thing,
-        "cup": run_settings["cup"]["name"],
-        "engine": run_settings["sim"]["name"],
-    }
+    conditions = _conditions(run_settings) | {"object": thing}
+    window = dwell_steps(run_settings["dwell_s"], control_hz)
     rows: list[Row] = []
     traces: list[Row] = []
     episodes = evaluate(make, policy, where, processes=min(processes, len(where)), ghost=thing == "ghost")
     bar = tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True)
     for number, episode in enumerate(bar):
-        rows.append(measure(number, episode, common_reward, control_hz=control_hz) | conditions)
+        row = measure(number, episode, common_reward, control_hz=control_hz) | conditions
+        if settling:
+            settled_m = settled_distance_m(episode.trace, window)
+            row |= {"settled_distance_m": settled_m, "success": settled_m <= run_settings["tolerance_m"]}
+        rows.append(row)
         if number < traced:
             traces += trace_rows(number, episode, control_hz=control_hz)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -151,8 +149,29 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
         print(f"{run_dir}: {len(rows)} positions recorded; {_traces(out)}")
         return
     leaning = checks.boolean("leaning", settings["leaning"]) or thing == "ghost" or run_settings["cup"]["name"] != "rigid"
-    left_out = set() if leaning else columns.LEANING.keys()
+    left_out = [*(columns.LEANING if not leaning else ()), *(columns.SETTLED if not settling else ())]
     names = [name for name in columns.EVALUATION if name not in left_out]
     write_rows(out, names, [{name: row[name] for name in names} for row in rows])
     successes = sum(bool(row["success"]) for row in rows)
     print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")
+
+
+def _under_test(settings: Settings, run_settings: Settings) -> Settings:
+    """A run's settings with what the test changes of them."""
+    changed = {key: settings[key] for key in ("tolerance_m", "time_limit_s") if settings[key] is not None}
+    changed |= {"cup": settings["cup"]} if settings.get("cup") else {}
+    changed |= {"buffer": run_settings["buffer"] | {"hold": settings["hold"]}} if settings.get("hold") else {}
+    return in_engine(run_settings | changed, settings.get("sim"))
+
+
+def _conditions(run_settings: Settings) -> Row:
+    """Under which conditions a policy is tested, with keys of ``columns.EVALUATION``."""
+    return {
+        "tolerance_m": run_settings["tolerance_m"],
+        "hold": str(build("hold", run_settings["buffer"]["hold"])),
+        "control_hz": run_settings["control_hz"],
+        "servo_rise_s": rise_time_s(build("servo", run_settings["servo"])),
+        "sigma": run_settings["reward"]["sigma"],
+        "cup": run_settings["cup"]["name"],
+        "engine": run_settings["sim"]["name"],
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Final
@@ -44,6 +45,18 @@ def measure(position: int, episode: Episode, common_reward: DistanceReward, *, c
         "reference_press_m": episode.reference_press_m,
         "contact_n": episode.contact_n,
     }
+
+
+def settled_distance_m(trace: NDArray[np.float64], dwell_steps: int) -> float:
+    """How near the cup came to stay: the least, over all windows of ``dwell_steps`` looks, of the largest distance (m) in one.
+
+    ``trace`` is that of an episode which nothing but time ends. Then a test with the tolerance t succeeds where this is at most
+    t: the environment counts the same looks, the start not among them. NaN if there are fewer.
+    """
+    distances = np.array([math.dist(state[3:6], state[6:9]) for state in trace[1:].tolist()])  # as the environment has it
+    if len(distances) < dwell_steps:
+        return math.nan
+    return float(np.lib.stride_tricks.sliding_window_view(distances, dwell_steps).max(axis=1).min())
 
 
 def trace_rows(position: int, episode: Episode, *, control_hz: int) -> Iterator[Row]:

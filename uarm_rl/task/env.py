@@ -83,8 +83,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._hold = hold
         self._max_delta_rad = checks.number("max_delta_rad", max_delta_rad, low=0.0, high=math.pi, open_low=True)
         self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
-        dwell_steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
-        self._dwell_steps = max(1, dwell_steps)  # a dwell of nothing: arriving is enough
+        self._dwell_steps = dwell_steps(dwell_s, control_hz)
         self._step_limit = math.inf
         if time_limit_s is not None:
             self._step_limit = checks.number("time_limit_s", time_limit_s, low=1.0 / control_hz, high=_LONGEST_S) * control_hz
@@ -280,6 +279,12 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         """A copy's world is built anew, so its episode has not begun."""
         return self.__dict__ | {"_begun": False, "_pictures": [], "_trace": []}
+
+
+def dwell_steps(dwell_s: float, control_hz: int) -> int:
+    """So many looks in a row, a control step apart, have to find the cup near enough."""
+    steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
+    return max(1, steps)  # a dwell of nothing: arriving is enough
 
 
 def _travel(start: JointPositions, end: JointPositions) -> float:
