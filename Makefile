@@ -33,6 +33,8 @@ paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the repor
 	$(EVALUATE) tolerance_m=1e-3 out=tolerance-1mm.csv
 	$(EVALUATE) tolerance_m=2e-3 out=tolerance-2mm.csv
 	$(EVALUATE) tolerance_m=10e-3 out=tolerance-10mm.csv
+	$(EVALUATE) until=time_limit positions=validation out=settled-validation.csv
+	$(EVALUATE) until=time_limit out=settled.csv
 	$(EVALUATE) positions=heldout out=heldout.csv
 	$(EVALUATE) hold=one_step out=hold-one_step.csv
 	$(EVALUATE) hold=fixed out=hold-fixed.csv
@@ -41,6 +43,7 @@ paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the repor
 	$(EVALUATE) policy=ik tolerance_m=1e-3 out=tolerance-1mm.csv
 	$(EVALUATE) policy=ik tolerance_m=2e-3 out=tolerance-2mm.csv
 	$(EVALUATE) policy=ik tolerance_m=10e-3 out=tolerance-10mm.csv
+	$(EVALUATE) policy=ik until=time_limit out=settled.csv
 	$(EVALUATE) policy=ik positions=heldout out=heldout.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 

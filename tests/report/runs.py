@@ -93,3 +93,13 @@ def add_ablations(results: Path) -> None:
     add_study_run(results, "experiment=dwell", "buffer=uniform", "dwell_s=0.25", successes="0011")
     add_study_run(results, "experiment=dwell", "dwell_s=0.25", successes="1111")
     add_study_run(results, "experiment=gamma", "buffer=uniform", "agent.gamma=0.99", successes="1011")
+
+
+def add_settled(results: Path, name: str, seed: int, *distances_mm: float | None, validation: bool = False) -> None:
+    """A test that success did not end, with a position for each settled distance; ``None``: the object was lost before."""
+    path = results / NAMES.get(name, name) / f"seed{seed}" / ("settled-validation.csv" if validation else "settled.csv")
+    add_evaluation(results, name, seed, "0" * len(distances_mm), path.name)
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    settled = ["" if distance is None else f"{distance / 1000:g}" for distance in distances_mm]
+    write(path, [{**row, "settled_distance_m": distance} for row, distance in zip(rows, settled, strict=True)])

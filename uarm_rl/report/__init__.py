@@ -4,6 +4,7 @@ Read ``report.py`` first: it assembles all of it. ``records.py`` reads and check
 ``statistics.py`` computes; ``tables.py`` and ``figures.py`` write. A module for each further section:
 
 - ``table1.py``: the paper's table
+- ``paper_fit.py``: the same at the tolerance that makes one cell of it the paper's
 - ``learning.py``: rewards, learning curves, an arm that shakes beside one that waits
 - ``comparisons.py``: which differences between the methods the data can show
 - ``robustness.py``: other tolerances, positions and holds

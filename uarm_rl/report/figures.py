@@ -35,6 +35,7 @@ _BUFFERS: Final = {
     "fixed_hold": _Style("#0072B2", (0, (6, 1, 1, 1, 1, 1)), "P"),
 }
 _MARKERS: Final = ("o", "s", "D", "v", "^", "P", "X")
+_WIDEST_MM: Final = 20.0  # of the tolerances that a curve is drawn for
 _INTERVAL: Final = "bars: 95 % interval"
 _BAND: Final = "line: mean of seeds, band: their range"
 
@@ -110,6 +111,28 @@ def draw_tolerance(figure: Figure, methods: Sequence[Method], table: pd.DataFram
         xscale="log",
     )
     _ticks(axes, sorted({1000.0 * tolerance_m for tolerance_m in table["tolerance_m"]}))
+    _success_axis(axes, "Success on the test positions (%)")
+
+
+def draw_paper_fit(figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame], points: pd.DataFrame) -> None:
+    """Success at every tolerance, and at the fitted one beside the paper's values."""
+    axes = figure.subplots()
+    low, fitted, high = (1000.0 * points[f"tolerance_{name}m"].iloc[0] for name in ("low_", "", "high_"))
+    axes.axvspan(low, min(high, _WIDEST_MM), color="0.85", linewidth=0)
+    for number, method in enumerate(methods):
+        curve, row = curves[method.label], points[points["method"] == method.label]
+        axes.step(curve["tolerance_mm"], curve["success_rate"], where="post", color=method.colour, linestyle=method.line)
+        marker = _MARKERS[number % len(_MARKERS)]
+        place = fitted * 1.05 ** (number - (len(methods) - 1) / 2)
+        _points(axes, pd.Series([place]), row, _Style(method.colour, method.line, marker), method.words)
+        axes.plot(place, row["paper_success_rate"], marker=marker, fillstyle="none", color="black", markersize=5, linestyle="")
+    axes.set(
+        xlabel=f"Tolerance (mm)\nat the fitted {fitted:.1f} mm (grey: its 95 % interval), moved aside a little:\n"
+        f"filled: ours, {_INTERVAL}; hollow and black: the paper's",
+        xscale="log",
+        xlim=(1, _WIDEST_MM),
+    )
+    _ticks(axes, [1, 2, 5, 10, _WIDEST_MM])
     _success_axis(axes, "Success on the test positions (%)")
 
 

@@ -78,7 +78,11 @@ SHAKING: Final = {
 
 
 RETURNS: Final = ("common_return", "return")
-EVALUATION: Final = {**pick(columns.MEASURED, "position", "success", *RETURNS, *SHAKING), **columns.CONDITIONS}
+EVALUATION: Final = {
+    **pick(columns.MEASURED, "position", "success", *RETURNS, *SHAKING),
+    **columns.CONDITIONS,
+    **columns.SETTLED,
+}
 BUDGETS: Final = ("experiences", "updates", "decisions", "control_steps")
 PROGRESS: Final = pick(columns.PROGRESS, "episode", *BUDGETS, "episode_return", "validation_success_rate")
 #: Further columns of the log, on what the object suffered while the policy learned.
@@ -235,6 +239,15 @@ def lacking(runs: Runs, file: str) -> str:
     ]
     without = [folder for folder in evaluated if not (folder / file).exists()]
     return f"{len(without)} of {len(evaluated)} runs" if without else ""
+
+
+def missing(results_dir: Path, what: str, runs: Runs, options: Mapping[str, str]) -> list[str]:
+    """A remark that names the files which evaluated runs lack, and the command that makes the first."""
+    absent = [(file, option, which) for file, option in options.items() if (which := lacking(runs, file))]
+    if not absent:
+        return []
+    named = ", ".join(f"{file} ({which})" for file, _, which in absent)
+    return [f"{what}, missing: {named}; {command(results_dir, f'evaluate {absent[0][1]} out={absent[0][0]}')} makes it"]
 
 
 def read(path: Path, columns: Columns) -> dict[str, list[Any]]:

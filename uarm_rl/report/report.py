@@ -13,6 +13,7 @@ from uarm_rl.report.arm_trials import arm_trials
 from uarm_rl.report.comparisons import comparisons
 from uarm_rl.report.engines import engines
 from uarm_rl.report.learning import learning, rewards, shaking
+from uarm_rl.report.paper_fit import paper_fit
 from uarm_rl.report.records import PROGRESS, ReportError, command, find_runs, in_engines, methods, read_evaluations, read_seeds
 from uarm_rl.report.robustness import held_out, holds, tolerance
 from uarm_rl.report.sample_efficiency import budgets
@@ -39,6 +40,7 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
 
     sections = [
         table1(results_dir, shown, runs, evaluations),
+        paper_fit(results_dir, shown, runs, evaluations),
         rewards(shown, evaluations),
         learning(shown, progress),
         shaking(results_dir, shown, runs),

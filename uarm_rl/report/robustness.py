@@ -11,7 +11,7 @@ from typing import Any, Final
 import pandas as pd
 
 from uarm_rl.report import figures, tables
-from uarm_rl.report.records import Method, Runs, check_engines, command, lacking, read_evaluations
+from uarm_rl.report.records import Method, Runs, check_engines, missing, read_evaluations
 from uarm_rl.report.tables import Section
 
 Evaluations = Mapping[str, pd.DataFrame]
@@ -33,7 +33,7 @@ def tolerance(results_dir: Path, methods: Sequence[Method], runs: Runs, standard
 
     ``standard`` are the evaluations at the trained tolerance; others are read from ``tolerance-<mm>mm.csv``.
     """
-    section = Section(remarks=_missing(results_dir, "tolerance curve", runs, _TOLERANCES))
+    section = Section(remarks=missing(results_dir, "tolerance curve", runs, _TOLERANCES))
     tests = [standard, *_tests(runs, "tolerance-*mm.csv")]
     check_engines(*tests)
     table = pd.DataFrame(
@@ -51,7 +51,7 @@ def tolerance(results_dir: Path, methods: Sequence[Method], runs: Runs, standard
 
 def held_out(results_dir: Path, methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
     """heldout.csv and .md: success and return on many other positions, beside those on the test positions."""
-    section = Section(remarks=_missing(results_dir, "held-out positions", runs, _HELD_OUT))
+    section = Section(remarks=missing(results_dir, "held-out positions", runs, _HELD_OUT))
     (file,) = _HELD_OUT
     held_out = read_evaluations(runs, file)
     check_engines(standard, held_out)
@@ -87,7 +87,7 @@ def held_out(results_dir: Path, methods: Sequence[Method], runs: Runs, standard:
 
 def holds(results_dir: Path, methods: Sequence[Method], runs: Runs, standard: Evaluations) -> Section:
     """holds.csv, .md and .png: every policy with the holds it was not trained with, from ``hold-<name>.csv``."""
-    section = Section(remarks=_missing(results_dir, "train hold x test hold", runs, _HOLDS))
+    section = Section(remarks=missing(results_dir, "train hold x test hold", runs, _HOLDS))
     tests = _tests(runs, "hold-*.csv")
     check_engines(standard, *tests)
     table = pd.DataFrame(
@@ -141,12 +141,3 @@ def _by_condition(tests: Sequence[Evaluations], folder: str, column: str) -> Ite
     rows = pd.concat([test[folder] for test in tests]) if tests else pd.DataFrame(columns=[column])
     known = rows[rows[column].notna() & (rows[column] != "")].drop_duplicates([column, "seed", "position"])
     yield from known.groupby(column)
-
-
-def _missing(results_dir: Path, what: str, runs: Runs, options: Mapping[str, str]) -> list[str]:
-    """A remark that names the files which evaluated runs lack, and the command that makes the first."""
-    missing = [(file, option, which) for file, option in options.items() if (which := lacking(runs, file))]
-    if not missing:
-        return []
-    named = ", ".join(f"{file} ({which})" for file, _, which in missing)
-    return [f"{what}, missing: {named}; {command(results_dir, f'evaluate {missing[0][1]} out={missing[0][0]}')} makes it"]

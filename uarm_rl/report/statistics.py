@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import comb
+from math import ceil, comb
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -81,6 +81,28 @@ def bootstrap_interval(
         total += weight * np.sum(seeds @ method * positions, axis=1) / method.size
     low, high = np.quantile(total, (tail, 1.0 - tail)).tolist()
     return low, high
+
+
+def quantile(values: ArrayLike, share: float) -> float:
+    """The least of ``values`` (any shape, infinite ones too) that a ``share`` of them does not exceed."""
+    array = np.sort(np.asarray(values, np.float64), axis=None)
+    least: float = array[max(0, ceil(share * array.size - 1e-9) - 1)].item()  # numpy's own stumbles over infinity
+    return least
+
+
+def quantile_interval(
+    values: ArrayLike, share: float, generator: np.random.Generator, *, confidence: float = 0.95, resamples: int = 10_000
+) -> Interval:
+    """Percentile interval of ``quantile`` of values of the shape (seeds, positions), by the same bootstrap over both."""
+    array = np.asarray(values, np.float64)
+    seeds, positions = (_draws(size, resamples, generator) for size in array.shape)
+    order = np.argsort(array, axis=None, kind="stable")
+    weights = (seeds[:, :, np.newaxis] * positions[:, np.newaxis, :]).reshape(resamples, -1)[:, order]
+    below = np.cumsum(weights, axis=1)
+    reached = np.argmax(below >= share * below[:, -1:] - 1e-9, axis=1)
+    tail = (1.0 - _confidence(confidence)) / 2.0
+    drawn = array.ravel()[order][reached]
+    return quantile(drawn, tail), quantile(drawn, 1.0 - tail)
 
 
 def success_interval(successes: ArrayLike, generator: np.random.Generator, *, resamples: int = 10_000) -> Interval:
