@@ -268,6 +268,7 @@ class OurTraining:
             max_decisions_per_episode=10 * EPISODE,
             batch_size=BATCH,
             warmup_experiences=EPISODE,
+            updates_per_experience=1,
             validate_every=1500,
             checkpoint_every=1500,
         )
@@ -278,7 +279,7 @@ class OurTraining:
         replay = self.learner.replay
         replay.added = replay.capacity
         self.counters.updates = replay.added - EPISODE
-        return self.learner.snapshot(EPISODE)
+        return self.learner.snapshot()
 
     def close(self) -> None:
         self.learner.env.close()

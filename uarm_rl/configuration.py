@@ -267,7 +267,7 @@ def value_range(settings: Settings) -> tuple[float, float]:
     """Lowest and highest value that a state can have: a step's reward at its bounds, for ever."""
     from uarm_rl.task.kinematics import HEIGHT_M, REACH_M
 
-    gamma = settings["agent"]["gamma"]
+    gamma = settings["agent"]["gamma"]  # per control step too: a decision may take no more than one
     horizon = 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
     lowest, highest = build("reward", settings["reward"]).bounds(2.0 * REACH_M, HEIGHT_M)
     return lowest * horizon, highest * horizon

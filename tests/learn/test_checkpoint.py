@@ -23,9 +23,10 @@ from uarm_rl.learn.ddpg import DDPG
 from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.noise import OrnsteinUhlenbeck
 from uarm_rl.learn.replay import ReplayBuffer
+from uarm_rl.learn.returns import Transition
 from uarm_rl.task import observation
 
-ARRAYS = {"agent/parameters": np.arange(40, dtype=np.float32), "replay/rows": np.ones((3, 5), np.float32)}
+ARRAYS = {"agent/parameters": np.arange(40, dtype=np.float32), "replay/transitions": np.ones((3, 5), np.float32)}
 
 
 def test_a_checkpoint_comes_back_as_it_was(tmp_path):
@@ -86,8 +87,8 @@ def test_tensors_that_are_none_are_refused_though_their_hash_is_right(tmp_path, 
 
 def test_numbers_that_are_not_finite_are_not_written(tmp_path):
     checkpoint.write(tmp_path, Checkpoint(1, ARRAYS, {}))
-    with pytest.raises(CheckpointError, match="replay/rows holds numbers that are not finite"):
-        checkpoint.write(tmp_path, Checkpoint(2, ARRAYS | {"replay/rows": np.array([1.0, np.nan], np.float32)}, {}))
+    with pytest.raises(CheckpointError, match="replay/transitions holds numbers that are not finite"):
+        checkpoint.write(tmp_path, Checkpoint(2, ARRAYS | {"replay/transitions": np.array([1.0, np.nan], np.float32)}, {}))
     assert checkpoint.read_latest(tmp_path)[0] == 1
 
 
@@ -121,22 +122,30 @@ def learner() -> Learner:
             pass
 
     networks = torch.Generator().manual_seed(0)
-    rates = {"gamma": 0.9, "tau": 0.01, "actor_lr": 1e-4, "critic_lr": 1e-3, "final_layer_init": 0.1}
+    rates = {
+        "gamma": 0.9,
+        "gamma_per": "decision",
+        "n_steps": 1,
+        "tau": 0.01,
+        "actor_lr": 1e-4,
+        "critic_lr": 1e-3,
+        "final_layer_init": 0.1,
+    }
     agent = DDPG(hidden=[4, 4], **rates, action_size=3, generator=networks)
     replay = ReplayBuffer(8, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(1))
     zeros = np.zeros(observation.SIZE, np.float32)
     for reward in range(11):
-        replay.add(zeros, np.zeros(3, np.float32), reward, zeros, False)
+        replay.add(Transition(zeros, np.zeros(3, np.float32), reward, zeros, 0.9 * (reward % 2)))
     amplitudes = {"initial_amplitude": 0.5, "final_amplitude": 0.1, "decay_fraction": 0.5}
     noise = OrnsteinUhlenbeck(theta=0.15, **amplitudes, action_size=3, generator=np.random.default_rng(2))
     noise.reset()
     made = Learner(InlineEnv(Env, 0), agent, agent.policy(CARD), replay, AdmitAll(), noise)
-    made.counters.restore({"episode": 3, "decisions": 30, "control_steps": 90, "updates": 20, "wall_s": 1.5})
+    made.counters.restore({"episode": 3, "experiences": 11, "decisions": 30, "control_steps": 90, "updates": 20, "wall_s": 1.5})
     return made
 
 
 def saved(learner: Learner) -> Checkpoint:
-    return deepcopy(learner.snapshot(0)())
+    return deepcopy(learner.snapshot()())
 
 
 def test_a_learner_takes_over_what_it_saved(learner):
@@ -209,6 +218,21 @@ def test_a_state_that_lacks_something_is_refused(learner):
             learner.restore(good._replace(state=state))
         place[key] = kept
     learner.restore(good._replace(state=state))
+
+
+def test_a_checkpoint_from_before_discounts_were_stored_is_taken_over(learner):
+    """Terminations, 0 or 1, stood in their place, and what was stored was what was experienced."""
+    now = saved(learner)
+    rows = now.arrays["replay/transitions"].copy()
+    rows[:, -1] = rows[:, -1] == 0
+    counters = {name: value for name, value in now.state["counters"].items() if name != "experiences"}
+    arrays = {name: array for name, array in now.arrays.items() if name != "replay/transitions"} | {"replay/rows": rows}
+    learner.restore(Checkpoint(now.episode, arrays, now.state | {"counters": counters}))
+    again = saved(learner)
+    assert again.state == now.state
+    assert {name: array.tobytes() for name, array in again.arrays.items()} == {
+        name: array.tobytes() for name, array in now.arrays.items()
+    }
 
 
 def test_a_state_of_another_episode_than_its_folder_is_refused(learner):

@@ -11,7 +11,15 @@ from uarm_rl.learn.ddpg import DDPG, DivergenceError
 from uarm_rl.learn.replay import Batch
 from uarm_rl.task import observation
 
-SETTINGS = {"gamma": 0.9, "tau": 0.01, "actor_lr": 1e-3, "critic_lr": 1e-3, "final_layer_init": 0.1}
+SETTINGS = {
+    "gamma": 0.9,
+    "gamma_per": "decision",
+    "n_steps": 1,
+    "tau": 0.01,
+    "actor_lr": 1e-3,
+    "critic_lr": 1e-3,
+    "final_layer_init": 0.1,
+}
 
 
 def agent(seed: int = 0, **changes: object) -> DDPG:
@@ -19,10 +27,10 @@ def agent(seed: int = 0, **changes: object) -> DDPG:
     return DDPG(**{"hidden": [40, 30], **SETTINGS, **changes}, action_size=3, generator=generator)
 
 
-def batch(size: int = 64, seed: int = 0, terminated: float | None = None) -> Batch:
+def batch(size: int = 64, seed: int = 0, discount: float | None = None) -> Batch:
     generator = np.random.default_rng(seed)
     spread = (size, observation.SIZE)
-    ends = generator.integers(0, 2, (size, 1)) if terminated is None else np.full((size, 1), terminated)
+    ends = 0.9 * generator.integers(0, 2, (size, 1)) if discount is None else np.full((size, 1), discount)
     return Batch(
         *(
             array.astype(np.float32)
@@ -65,13 +73,13 @@ class Reference:
     def q(self, name: str, x: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         return self.run(name, torch.cat((x, action), 1))
 
-    def update(self, sample: Batch, gamma: float = 0.9, tau: float = 0.01) -> dict[str, float]:
+    def update(self, sample: Batch, tau: float = 0.01) -> dict[str, float]:
         scaled = [(field - observation.OFFSET) / observation.SCALE for field in (sample.observation, sample.next_observation)]
         x, next_x = (torch.from_numpy(field) for field in scaled)
-        action, reward, terminated = (torch.from_numpy(field) for field in (sample.action, sample.reward, sample.terminated))
+        action, reward, discount = (torch.from_numpy(field) for field in (sample.action, sample.reward, sample.discount))
         with torch.no_grad():
             next_q = self.q("target_critic", next_x, torch.tanh(self.run("target_actor", next_x)))
-            y = reward + gamma * (1 - terminated) * next_q
+            y = reward + discount * next_q
         critic_loss = functional.mse_loss(self.q("critic", x, action), y)
         self.step("critic", critic_loss)
         own_action = torch.tanh(self.run("actor", x))
@@ -121,7 +129,7 @@ def test_networks_begin_as_in_the_ddpg_paper():
 
 def test_nothing_is_expected_after_a_termination():
     ours = agent()
-    ends, goes_on = batch(terminated=1.0), batch(terminated=0.0)
+    ends, goes_on = batch(discount=0.0), batch(discount=0.9)
     with torch.no_grad():
         q = ours.critic.forward(torch.from_numpy(np.hstack([scaled(ends.observation), ends.action])))
     expected = ((q.numpy() - ends.reward) ** 2).mean()
@@ -142,7 +150,7 @@ def test_targets_follow_slowly():
 
 def test_the_critic_learns_a_fixed_batch_and_the_actor_climbs():
     ours = agent()
-    sample = batch(terminated=1.0)
+    sample = batch(discount=0.0)
     losses = [ours.update(sample) for _ in range(300)]
     assert losses[-1]["critic_loss"] < 0.2 * losses[0]["critic_loss"]
     assert losses[-1]["actor_loss"] < losses[100]["actor_loss"]
@@ -190,6 +198,8 @@ def test_tensors_of_another_shape_are_refused():
     ("change", "sentence"),
     [
         ({"gamma": 2}, "agent.gamma must be a number from 0 to 1, got 2"),
+        ({"gamma_per": "second"}, "agent.gamma_per must be decision or control_step, got 'second'"),
+        ({"n_steps": 0}, "agent.n_steps must be a whole number from 1 to 1000, got 0"),
         ({"tau": 0}, "agent.tau must be a number above 0 and at most 1, got 0"),
         ({"hidden": [0]}, "agent.hidden must be a whole number from 1 to 10000, got 0"),
         ({"actor_lr": float("nan")}, "agent.actor_lr must be a finite number above 0 and at most 1, got nan"),
@@ -201,9 +211,9 @@ def test_bad_values_are_refused_in_a_sentence(change, sentence):
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
-@pytest.mark.parametrize("place", ["observation", "action", "reward", "next_observation", "terminated"])
+@pytest.mark.parametrize("place", ["observation", "action", "reward", "next_observation", "discount"])
 def test_a_number_that_is_not_finite_is_named_at_once(place, bad):
-    sample = batch(terminated=0.0)
+    sample = batch(discount=0.9)
     getattr(sample, place)[3] = bad
     with pytest.raises(DivergenceError, match=f"the batch's {place}"):
         agent().update(sample)

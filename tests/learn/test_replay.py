@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from uarm_rl.learn.admission import AdmitAll, NotStuck
 from uarm_rl.learn.replay import ReplayBuffer
+from uarm_rl.learn.returns import Transition
 
 
 @pytest.mark.parametrize(
@@ -40,7 +41,7 @@ def ring(capacity: int, seed: int = 0) -> ReplayBuffer:
 
 def fill(buffer: ReplayBuffer, numbers: range) -> None:
     for number in numbers:
-        buffer.add(np.full(2, number), np.full(1, -number), 10.0 * number, np.full(2, number + 0.5), number % 2 == 1)
+        buffer.add(Transition(np.full(2, number), np.full(1, -number), 10.0 * number, np.full(2, number + 0.5), number % 2))
 
 
 @given(capacity=st.integers(1, 12), added=st.integers(1, 40))
@@ -62,7 +63,7 @@ def test_a_sample_keeps_transitions_together():
     np.testing.assert_array_equal(batch.action, -number)
     np.testing.assert_array_equal(batch.reward, 10 * number)
     np.testing.assert_array_equal(batch.next_observation, np.hstack([number, number]) + 0.5)
-    np.testing.assert_array_equal(batch.terminated, number % 2)
+    np.testing.assert_array_equal(batch.discount, number % 2)
 
 
 def test_sampling_is_uniform_and_reproducible():
@@ -82,11 +83,12 @@ def test_an_empty_ring_refuses_to_sample():
         ring(3).sample(1)
 
 
+@pytest.mark.parametrize("more", [0, 5, 20])
 @pytest.mark.parametrize("added", [3, 11])
-def test_what_was_stored_at_an_instant_is_given_back_after_it_was_overwritten(added):
+def test_what_was_stored_at_an_instant_is_given_back_after_it_was_overwritten(added, more):
     buffer = ring(8)
     fill(buffer, range(added))
-    then = buffer.rows_before(5)
+    then = buffer.rows_of_now()
     expected = buffer.rows[: len(buffer)].copy()
-    fill(buffer, range(100, 105))
+    fill(buffer, range(100, 100 + more))
     np.testing.assert_array_equal(then(), expected)

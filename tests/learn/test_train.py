@@ -85,16 +85,17 @@ class Loud:
         return {}
 
 
-def learner(*answers: dict[str, object], noise: float = 0.0) -> Learner:
-    rates = {"gamma": 0.9, "tau": 0.01, "actor_lr": 1e-4, "critic_lr": 1e-3, "final_layer_init": 0.1}
-    agent = DDPG(hidden=[4], **rates, action_size=3, generator=torch.Generator().manual_seed(0))
+def learner(*answers: dict[str, object], noise: float = 0.0, **returns: object) -> Learner:
+    returns = {"gamma": 0.9, "gamma_per": "decision", "n_steps": 1} | returns
+    rates = {"tau": 0.01, "actor_lr": 1e-4, "critic_lr": 1e-3, "final_layer_init": 0.1}
+    agent = DDPG(hidden=[4], **returns, **rates, action_size=3, generator=torch.Generator().manual_seed(0))
     replay = ReplayBuffer(50, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(1))
     return Learner(Script(*answers), agent, agent.policy(CARD), replay, NotStuck(0.001), Loud(noise))
 
 
 def run(one: Learner, **changes: int) -> list[dict[str, object]]:
     lengths = {"episodes": 1, "experiences_per_episode": 4, "max_decisions_per_episode": 20, "batch_size": 2}
-    rest = {"warmup_experiences": 1, "validate_every": 1, "checkpoint_every": 1}
+    rest = {"warmup_experiences": 1, "updates_per_experience": 1, "validate_every": 1, "checkpoint_every": 1}
     rows: list[dict[str, object]] = []
     ticks: list[None] = []
     schedule = Schedule(**(lengths | rest | changes))
@@ -117,7 +118,7 @@ def test_an_episode_stores_counts_and_resets_as_it_should():
     assert (row["episode_return"], row["object_moved_m"]) == (-63.0, pytest.approx(0.055))
     stored = one.replay.rows[:4]
     assert stored[:, 23].tolist() == [-1.0, -8.0, -16.0, -32.0]  # neither what is stuck nor what exploded
-    assert stored[:, -1].tolist() == [0, 1, 0, 0]  # what is only cut off has a future
+    assert stored[:, -1].tolist() == pytest.approx([0.9, 0.0, 0.9, 0.9])  # what is only cut off has a future
     # Observations 4, 6, 8 and 10 are those after the resets.
     assert stored[:, 0].tolist() == pytest.approx([0.01, 0.05, 0.07, 0.09])
     assert stored[:, 24].tolist() == pytest.approx([0.02, 0.06, 0.08, 0.10])
@@ -129,6 +130,29 @@ def test_there_is_one_gradient_step_an_experience_after_the_warm_up():
     assert [row["updates"] for row in rows] == [1, 5, 9]
     assert ["critic_loss" in row for row in rows] == [True, True, True]
     assert "critic_loss" not in run(learner(ORDINARY), warmup_experiences=4)[0]
+
+
+def test_there_may_be_more_gradient_steps_an_experience():
+    assert [row["updates"] for row in run(learner(ORDINARY), episodes=2, updates_per_experience=3)] == [6, 18]
+
+
+def test_later_rewards_are_added_up_as_far_as_a_chain_goes():
+    """It ends before what is not admitted, and behind a success, a loss and an episode: what is left is stored with less."""
+    one = learner(ORDINARY, ORDINARY, STUCK, ORDINARY, SUCCESS, LOST, n_steps=3)
+    rows = run(one, episodes=2)
+    first = [(-1 - 0.9, 0.81), (-1, 0.9), (-1 - 0.9 * 8, 0.0), (-8, 0.0)]
+    second = [(-16, 0.9), (-1 - 0.9, 0.81), (-1, 0.9), (-1, 0.9)]
+    assert [(row[23], row[-1]) for row in one.replay.rows[:8].tolist()] == [pytest.approx(pair) for pair in first + second]
+    assert [row["experiences"] for row in rows] == [4, 8]
+    assert one.replay.added == 8
+
+
+def test_one_gradient_step_an_experience_waits_until_it_is_stored():
+    one, drawn_from = learner(ORDINARY, n_steps=3), []
+    sample = one.replay.sample
+    one.replay.sample = lambda *how: drawn_from.append(one.replay.added) or sample(*how)
+    run(one, experiences_per_episode=6, warmup_experiences=0)
+    assert drawn_from == [1, 2, 3]
 
 
 def test_noise_begins_anew_with_an_episode_and_knows_how_far_the_training_is():
@@ -158,7 +182,9 @@ def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):
         validated.append(policy)
         return iter([True, False, False, True, False])
 
-    schedule = Schedule(3, 4, 20, batch_size=2, warmup_experiences=1, validate_every=2, checkpoint_every=1)
+    schedule = Schedule(
+        3, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=1
+    )
     assert session.run(tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), tensorboard=False)
     with open(tmp_path / "progress.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -181,7 +207,9 @@ def test_a_stop_during_a_validation_does_not_wait_for_its_end(tmp_path):
                 signal.raise_signal(signal.SIGINT)
             yield True
 
-    schedule = Schedule(4, 4, 20, batch_size=2, warmup_experiences=1, validate_every=2, checkpoint_every=4)
+    schedule = Schedule(
+        4, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=4
+    )
     assert not session.run(tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), tensorboard=False)
     assert asked == [0, 1]
     assert checkpoint.read_latest(tmp_path).episode == 1

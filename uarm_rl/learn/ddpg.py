@@ -17,6 +17,7 @@ from torch import Tensor
 from uarm_rl import checks
 from uarm_rl.learn.network import Network
 from uarm_rl.learn.replay import Batch
+from uarm_rl.learn.returns import Returns
 from uarm_rl.task import observation
 from uarm_rl.task.policy import ActorPolicy, PolicyCard, scale
 
@@ -33,9 +34,10 @@ def _forms(tensors: dict[str, Tensor]) -> dict[str, tuple[torch.Size, torch.dtyp
 
 
 class DDPG:
-    """Actor, critic and their targets. Knows nothing of buffers, noise, steps or logs.
+    """Actor, critic and their targets. Knows nothing of buffers, noise or logs.
 
-    ``generator`` draws the initial parameters; after that an update is a pure function of its batch.
+    ``generator`` draws the initial parameters; after that an update is a pure function of its batch. ``returns`` makes the
+    transitions that it is to learn from.
     """
 
     def __init__(
@@ -43,6 +45,8 @@ class DDPG:
         *,
         hidden: Sequence[int],
         gamma: float,
+        gamma_per: str,
+        n_steps: int,
         tau: float,
         actor_lr: float,
         critic_lr: float,
@@ -51,7 +55,7 @@ class DDPG:
         generator: torch.Generator,
     ) -> None:
         hidden = checks.integers("agent.hidden", hidden, low=1, high=10_000)
-        self.gamma = checks.number("agent.gamma", gamma, low=0.0, high=1.0)
+        self.returns = Returns(gamma=gamma, gamma_per=gamma_per, n_steps=n_steps)
         self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
         actor_sizes = [observation.SIZE, *hidden, action_size]
@@ -111,14 +115,14 @@ class DDPG:
     def _update(self, batch: Batch) -> dict[str, float]:
         observations, next_observations = scale(batch.observation), scale(batch.next_observation)
         both = torch.from_numpy(np.concatenate((observations, batch.action), axis=1))
-        reward, terminated = torch.from_numpy(batch.reward), torch.from_numpy(batch.terminated)
+        reward, discount = torch.from_numpy(batch.reward), torch.from_numpy(batch.discount)
         size = len(reward)
 
-        # Critic: L = mean (y - Q(s, a))^2 with y = r + gamma Q'(s', mu'(s')); no future after a termination.
+        # Critic: L = mean (y - Q(s, a))^2 with y = r + discount Q'(s', mu'(s')).
         x = torch.from_numpy(next_observations)
         next_action = self.target_actor.forward(x).tanh_()
         next_q = self.target_critic.forward(torch.cat((x, next_action), 1))
-        error = self.critic.forward(both) - (reward + self.gamma * (1.0 - terminated) * next_q)
+        error = self.critic.forward(both) - (reward + discount * next_q)
         self.critic.backward(error * (2.0 / size))
         self._optimizers["critic"].step()
 

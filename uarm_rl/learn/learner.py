@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.learn.admission import Admission
-from uarm_rl.learn.async_env import AsyncEnv
+from uarm_rl.learn.async_env import AsyncEnv, Step
 from uarm_rl.learn.checkpoint import Checkpoint, CheckpointError
 from uarm_rl.learn.ddpg import DDPG
 from uarm_rl.learn.noise import OrnsteinUhlenbeck
 from uarm_rl.learn.replay import ReplayBuffer
+from uarm_rl.learn.returns import Transition
 from uarm_rl.task.policy import ActorPolicy
+
+Array = NDArray[np.float32]
 
 
 @dataclass
 class Counters:
-    """How far a training is; all of it is in the checkpoint. ``experiences`` are counted by the replay buffer."""
+    """How far a training is; all of it is in the checkpoint. ``experiences`` are the decisions that were admitted."""
 
     episode: int = 0
+    experiences: int = 0
     decisions: int = 0
     control_steps: int = 0
     updates: int = 0
@@ -52,33 +58,76 @@ class Learner:
     noise: OrnsteinUhlenbeck
     counters: Counters = field(default_factory=Counters)
 
-    def snapshot(self, next_experiences: int) -> Callable[[], Checkpoint]:
-        """A function that gives the checkpoint of now, when at most ``next_experiences`` more have been stored.
+    def take(self, observation: Array, action: Array, step: Step) -> None:
+        """Take in what came of a decision: it counts as an experience if it may enter."""
+        next_observation, reward, terminated, truncated, info = step
+        returns = self.agent.returns
+        if not info["exploded"] and self.admission.admits(info["clipped"], info["travel_rad"]):
+            discount = 0.0 if terminated else returns.discount(info["control_steps"])
+            self._store(returns.add(Transition(observation, action, reward, next_observation, discount)))
+            self.counters.experiences += 1
+        else:
+            self.end_chain()
+        if truncated:
+            self.end_chain()
+
+    def end_chain(self) -> None:
+        """What comes next does not follow from what was."""
+        self._store(self.agent.returns.cut())
+
+    def _store(self, transitions: Iterable[Transition]) -> None:
+        for transition in transitions:
+            self.replay.add(transition)
+
+    def update(self, batch_size: int) -> dict[str, float]:
+        """One gradient step; the agent's metrics."""
+        metrics = self.agent.update(self.replay.sample(batch_size))
+        self.counters.updates += 1
+        return metrics
+
+    @property
+    def stored(self) -> int:
+        """How many experiences can be learned from: those that wait for later rewards not yet."""
+        return self.counters.experiences - self.agent.returns.held_back
+
+    def snapshot(self) -> Callable[[], Checkpoint]:
+        """A function that gives the checkpoint of now, however much has been stored when it is called.
 
         Between two episodes the world is built anew, so a run that is resumed there goes on with the same bytes, and a stop
         in the middle of an episode saves what was before it. Small things are copied; of the replay buffer only the rows that
-        may be overwritten. The function puts those back, so the training cannot go on after it if it has stored more meanwhile.
+        are overwritten. The function puts those back, so the training cannot go on after it if it has stored more meanwhile.
         """
         agent = {f"agent/{name}": tensor.numpy().copy() for name, tensor in self.agent.tensors().items()}
-        rows = self.replay.rows_before(next_experiences)
+        rows = self.replay.rows_of_now()
         state = {
             "counters": asdict(self.counters),
             "replay": self.replay.state(),
             "noise": self.noise.state(),
             "env": self.env.state(),
         }
-        return lambda: Checkpoint(state["counters"]["episode"], agent | {"replay/rows": rows()}, state)
+        return lambda: Checkpoint(state["counters"]["episode"], agent | {"replay/transitions": rows()}, state)
 
     def restore(self, saved: Checkpoint) -> None:
         """Go on from a checkpoint. Raises :class:`CheckpointError` if it is not one of such a learner."""
-        agent = {name.removeprefix("agent/"): array for name, array in saved.arrays.items() if name.startswith("agent/")}
         try:
+            saved = self._of_today(saved)
+            agent = {name.removeprefix("agent/"): array for name, array in saved.arrays.items() if name.startswith("agent/")}
             self.counters.restore(saved.state["counters"])
             if self.counters.episode != saved.episode:
                 raise ValueError(f"it holds episode {self.counters.episode}")
             self.agent.load_tensors({name: torch.from_numpy(array) for name, array in agent.items()})
-            self.replay.restore(saved.arrays["replay/rows"], saved.state["replay"])
+            self.replay.restore(saved.arrays["replay/transitions"], saved.state["replay"])
             self.noise.restore(saved.state["noise"])
             self.env.restore(saved.state["env"])
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise CheckpointError(f"the checkpoint does not fit this configuration ({error!r:.200})") from error
+
+    def _of_today(self, saved: Checkpoint) -> Checkpoint:
+        """A checkpoint as it is written now. Older ones held terminations, 0 or 1, where the discounts are."""
+        if "replay/rows" not in saved.arrays:
+            return saved
+        rows = saved.arrays["replay/rows"].copy()
+        rows[:, -1] = self.agent.returns.gamma * (1.0 - rows[:, -1])
+        counters = {**saved.state["counters"], "experiences": saved.state["replay"]["added"]}
+        arrays = {name: array for name, array in saved.arrays.items() if name != "replay/rows"}
+        return Checkpoint(saved.episode, arrays | {"replay/transitions": rows}, saved.state | {"counters": counters})

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
+from uarm_rl.learn.returns import Transition
 
 Array = NDArray[np.float32]
 
@@ -20,7 +21,7 @@ class Batch(NamedTuple):
     action: Array  # (n, action_size)
     reward: Array  # (n, 1)
     next_observation: Array  # (n, observation_size)
-    terminated: Array  # (n, 1), 0 or 1
+    discount: Array  # (n, 1), what the next state counts; 0 after a termination
 
 
 class ReplayBuffer:
@@ -37,6 +38,7 @@ class ReplayBuffer:
         self.added = 0  # transitions ever added; the cursor is its remainder
         self.generator = generator
         self._sample = np.empty((0, ends[-1]), np.float32)
+        self._overwritten: list[tuple[Array, Array]] = []  # since ``rows_of_now``
 
     @property
     def capacity(self) -> int:
@@ -45,10 +47,12 @@ class ReplayBuffer:
     def __len__(self) -> int:
         return min(self.added, self.capacity)
 
-    def add(self, observation: Array, action: Array, reward: float, next_observation: Array, terminated: bool) -> None:
+    def add(self, transition: Transition) -> None:
         """Store one transition in the place of the oldest."""
         row = self.rows[self.added % self.capacity]
-        for field, value in zip(self._fields, (observation, action, reward, next_observation, terminated), strict=True):
+        if self.added >= self.capacity:
+            self._overwritten.append((row, row.copy()))
+        for field, value in zip(self._fields, transition, strict=True):
             row[field] = value
         self.added += 1
 
@@ -56,17 +60,19 @@ class ReplayBuffer:
         """What a resume needs besides the stored rows; JSON."""
         return {"added": self.added, "generator": self.generator.bit_generator.state}
 
-    def rows_before(self, additions: int) -> Callable[[], Array]:
-        """A function that gives the rows stored now, shape (n, row), when at most ``additions`` more have been added.
+    def rows_of_now(self) -> Callable[[], Array]:
+        """A function that gives the rows stored now, shape (n, row), whatever has been added when it is called.
 
-        It puts back what those have overwritten, which is all that is copied now; after it the additions are gone.
+        It puts back what was overwritten, which alone is copied, and when it is; after it the additions are gone. It is good
+        until this is called again.
         """
         stored = len(self)
-        places = np.arange(self.added, self.added + additions) % self.capacity
-        overwritten = self.rows[places]
+        overwritten: list[tuple[Array, Array]] = []
+        self._overwritten = overwritten
 
         def rows() -> Array:
-            self.rows[places] = overwritten
+            for row, before in reversed(overwritten):  # the oldest last: a small ring may have come around twice
+                row[:] = before
             return self.rows[:stored]
 
         return rows

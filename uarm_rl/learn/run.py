@@ -143,7 +143,7 @@ def run(
     if saved:
         learner.restore(saved)
         print(f"resuming after episode {counters.episode} of {schedule.episodes}")
-    snapshot, episode = learner.snapshot(schedule.experiences_per_episode), counters.episode
+    snapshot, episode = learner.snapshot(), counters.episode
     on_disk = episode if saved else -1
     with ExitStack() as stack:
         log = Logbook(run_dir / PROGRESS, columns.PROGRESS, keep_rows=counters.episode)
@@ -165,7 +165,7 @@ def run(
             if write_scalars:
                 write_scalars(row)
             bar.show(row)
-            snapshot, episode = learner.snapshot(schedule.experiences_per_episode), counters.episode
+            snapshot, episode = learner.snapshot(), counters.episode
             if last or episode % schedule.checkpoint_every == 0:
                 checkpoint.write(run_dir, snapshot())
                 on_disk = episode

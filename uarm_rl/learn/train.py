@@ -26,6 +26,7 @@ class Schedule:
     max_decisions_per_episode: int
     batch_size: int
     warmup_experiences: int
+    updates_per_experience: int
     validate_every: int
     checkpoint_every: int
 
@@ -50,11 +51,11 @@ def train(
 ) -> None:
     """Train until the schedule's last episode, or until a stop is requested: then in the middle of an episode.
 
-    One gradient step per stored experience, taken while the arm carries out the next decision. An episode ends when its
-    experiences are stored; a success or a lost object only places a new object. ``end_of_episode`` receives the episode's
-    row of the log. Raises :class:`DivergenceError` when a number is no longer finite.
+    ``updates_per_experience`` gradient steps per stored experience, taken while the arm carries out the next decision. An
+    episode ends when its experiences are there; a success or a lost object only places a new object. ``end_of_episode``
+    receives the episode's row of the log. Raises :class:`DivergenceError` when a number is no longer finite.
     """
-    env, replay, counters = learner.env, learner.replay, learner.counters
+    env, counters = learner.env, learner.counters
     total = schedule.episodes * schedule.experiences_per_episode
     while counters.episode < schedule.episodes and not stop.requested:
         began = time.perf_counter()
@@ -62,24 +63,22 @@ def train(
         learner.noise.reset()
         metrics: dict[str, float] = {}
         episode_return, object_moved_m, successes, object_losses, explosions = 0.0, 0.0, 0, 0, 0
-        first_decision, first_experience = counters.decisions, replay.added
+        first_decision, first_experience = counters.decisions, counters.experiences
         last_decision = first_decision + schedule.max_decisions_per_episode
 
-        while replay.added < first_experience + schedule.experiences_per_episode and counters.decisions < last_decision:
-            noise = learner.noise(replay.added / total)
+        while counters.experiences < first_experience + schedule.experiences_per_episode and counters.decisions < last_decision:
+            noise = learner.noise(counters.experiences / total)
             action = np.clip(learner.policy.act(observation) + noise, -1.0, 1.0, dtype=np.float32)
             env.step_async(action)
-            while counters.updates < replay.added - schedule.warmup_experiences:
-                metrics = learner.agent.update(replay.sample(schedule.batch_size))
-                counters.updates += 1
-            next_observation, reward, terminated, truncated, info = env.step_wait()
+            while counters.updates < schedule.updates_per_experience * (learner.stored - schedule.warmup_experiences):
+                metrics = learner.update(schedule.batch_size)
+            step = next_observation, reward, terminated, truncated, info = env.step_wait()
             if stop.requested:
                 return
 
             if not (math.isfinite(reward) and np.isfinite(next_observation).all()):
                 raise DivergenceError(f"the environment returned reward {reward!r} and observation {next_observation!r}")
-            if not info["exploded"] and learner.admission.admits(info["clipped"], info["travel_rad"]):
-                replay.add(observation, action, reward, next_observation, terminated)
+            learner.take(observation, action, step)
             counters.decisions += 1
             counters.control_steps += info["control_steps"]
             episode_return += reward
@@ -90,14 +89,15 @@ def train(
             observation = env.reset(home=info["exploded"]) if terminated or truncated else next_observation
             end_of_decision()
 
+        learner.end_chain()
         counters.episode += 1
         counters.wall_s += time.perf_counter() - began
         row: dict[str, object] = {
             "episode": counters.episode,
-            "experiences": replay.added,
+            "experiences": counters.experiences,
             "control_steps": counters.control_steps,
             "updates": counters.updates,
-            "admission_rate": (replay.added - first_experience) / (counters.decisions - first_decision),
+            "admission_rate": (counters.experiences - first_experience) / (counters.decisions - first_decision),
             "episode_return": episode_return,
             "wall_s": round(counters.wall_s, 3),
             "decisions": counters.decisions,
