@@ -36,6 +36,7 @@ Settings = dict[str, Any]
 OPEN_SETS: Final = {
     "hold": {"fixed": "uarm_rl.task.hold:FixedHold", "until_steady": "uarm_rl.task.hold:UntilSteady"},
     "admission": {"all": "uarm_rl.learn.admission:AdmitAll", "not_stuck": "uarm_rl.learn.admission:NotStuck"},
+    "sampling": {"uniform": "uarm_rl.learn.sampling:Uniform", "prioritized": "uarm_rl.learn.sampling:Prioritized"},
     "reward": {"plain": "uarm_rl.task.reward:DistanceReward", "penalty": "uarm_rl.task.reward:DistanceReward"},
     "noise": {"ornstein_uhlenbeck": "uarm_rl.learn.noise:OrnsteinUhlenbeck"},
     "servo": {

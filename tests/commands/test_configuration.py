@@ -30,7 +30,7 @@ def names_in(group: str) -> set[str]:
 
 
 def cli_settings(group: str, choice: str) -> dict[str, object]:
-    if group in ("hold", "admission"):
+    if group in ("hold", "admission", "sampling"):
         return configuration.compose("train", (f"{group}@buffer.{group}={choice}",))["buffer"][group]
     if group in ("camera", "detector"):
         needed = ("camera.path=picture.png",) if choice == "file" else ()

@@ -59,7 +59,7 @@ def test_a_sample_keeps_transitions_together():
     fill(buffer, range(13))
     batch = buffer.sample(64)
     number = batch.observation[:, :1]
-    assert [field.shape for field in batch] == [(64, 2), (64, 1), (64, 1), (64, 2), (64, 1)]
+    assert [field.shape for field in batch[:-1]] == [(64, 2), (64, 1), (64, 1), (64, 2), (64, 1)]
     np.testing.assert_array_equal(batch.action, -number)
     np.testing.assert_array_equal(batch.reward, 10 * number)
     np.testing.assert_array_equal(batch.next_observation, np.hstack([number, number]) + 0.5)
@@ -88,7 +88,7 @@ def test_an_empty_ring_refuses_to_sample():
 def test_what_was_stored_at_an_instant_is_given_back_after_it_was_overwritten(added, more):
     buffer = ring(8)
     fill(buffer, range(added))
-    then = buffer.rows_of_now()
+    then = buffer.snapshot()
     expected = buffer.rows[: len(buffer)].copy()
     fill(buffer, range(100, 100 + more))
-    np.testing.assert_array_equal(then(), expected)
+    np.testing.assert_array_equal(then()["transitions"], expected)

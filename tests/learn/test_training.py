@@ -109,16 +109,23 @@ def test_a_stop_is_at_once_and_loses_only_the_episode_in_hand(
     assert outcome(train(tmp_path / "parts", wrapping, "checkpoint_every=4", "resume=true")) == whole
 
 
-@pytest.mark.parametrize("method", ["buffer=uniform", "buffer=adaptive"])
+PRIORITIZED = ("sampling@buffer.sampling=prioritized", "agent.n_steps=3", "buffer.capacity=60")
+
+
+@pytest.mark.parametrize(
+    "method",
+    [("buffer=uniform",), ("buffer=adaptive",), ("buffer=uniform", *PRIORITIZED)],
+    ids=["uniform", "adaptive", "prioritized"],
+)
 def test_an_interrupted_and_resumed_run_ends_as_an_uninterrupted_one(tmp_path, monkeypatch, method, capsys):
-    whole = outcome(train(tmp_path / "whole", method))
+    whole = outcome(train(tmp_path / "whole", *method))
     with monkeypatch.context() as patch:
         interrupt_after(patch, episode=2)
         with pytest.raises(SystemExit) as stopped:
-            train(tmp_path / "parts", method)
+            train(tmp_path / "parts", *method)
     assert stopped.value.code == 130
     assert "resume=true continues it" in capsys.readouterr().out
-    run = train(tmp_path / "parts", method, "resume=true")
+    run = train(tmp_path / "parts", *method, "resume=true")
     assert outcome(run) == whole
 
 

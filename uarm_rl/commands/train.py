@@ -103,6 +103,7 @@ def _learner(settings: Settings) -> Learner:
             observation_size=observation.SIZE,
             action_size=ACTION_SIZE,
             generator=np.random.default_rng(seeds[2]),
+            sampling=build("sampling", settings["buffer"]["sampling"]),
         ),
         noise=build("noise", settings["noise"], action_size=ACTION_SIZE, generator=np.random.default_rng(seeds[3])),
         admission=build("admission", settings["buffer"]["admission"]),

@@ -37,7 +37,7 @@ class DDPG:
     """Actor, critic and their targets. Knows nothing of buffers, noise or logs.
 
     ``generator`` draws the initial parameters; after that an update is a pure function of its batch. ``returns`` makes the
-    transitions that it is to learn from.
+    transitions that it is to learn from; ``errors``, shape (n, 1), are the temporal differences of the last update.
     """
 
     def __init__(
@@ -55,6 +55,7 @@ class DDPG:
         generator: torch.Generator,
     ) -> None:
         hidden = checks.integers("agent.hidden", hidden, low=1, high=10_000)
+        self.errors = np.empty((0, 1), np.float32)
         self.returns = Returns(gamma=gamma, gamma_per=gamma_per, n_steps=n_steps)
         self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
@@ -123,7 +124,9 @@ class DDPG:
         next_action = self.target_actor.forward(x).tanh_()
         next_q = self.target_critic.forward(torch.cat((x, next_action), 1))
         error = self.critic.forward(both) - (reward + discount * next_q)
-        self.critic.backward(error * (2.0 / size))
+        weighted = error if batch.weight is None else error * torch.from_numpy(batch.weight)
+        self.critic.backward(weighted * (2.0 / size))
+        self.errors = error.numpy()
         self._optimizers["critic"].step()
 
         # Actor: ascend Q(s, mu(s)), the deterministic policy gradient (eq. 3).
@@ -149,7 +152,9 @@ class DDPG:
 
     def _not_finite(self, batch: Batch) -> str:
         """Names of what holds numbers that are not finite, causes before their consequences."""
-        fields = {f"the batch's {name}": torch.from_numpy(field) for name, field in batch._asdict().items()}
+        fields = {
+            f"the batch's {name}": torch.from_numpy(field) for name, field in batch._asdict().items() if field is not None
+        }
         held = fields | {"the gradient": self._gradient} | self.tensors()
         return ", ".join(name for name, tensor in held.items() if not tensor.isfinite().all()) or "the loss"
 

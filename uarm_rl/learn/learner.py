@@ -79,9 +79,10 @@ class Learner:
         for transition in transitions:
             self.replay.add(transition)
 
-    def update(self, batch_size: int) -> dict[str, float]:
-        """One gradient step; the agent's metrics."""
-        metrics = self.agent.update(self.replay.sample(batch_size))
+    def update(self, batch_size: int, progress: float) -> dict[str, float]:
+        """One gradient step; the agent's metrics. ``progress`` runs from 0 to 1 over the training."""
+        metrics = self.agent.update(self.replay.sample(batch_size, progress))
+        self.replay.learned(self.agent.errors)
         self.counters.updates += 1
         return metrics
 
@@ -98,25 +99,30 @@ class Learner:
         are overwritten. The function puts those back, so the training cannot go on after it if it has stored more meanwhile.
         """
         agent = {f"agent/{name}": tensor.numpy().copy() for name, tensor in self.agent.tensors().items()}
-        rows = self.replay.rows_of_now()
+        replay = self.replay.snapshot()
         state = {
             "counters": asdict(self.counters),
             "replay": self.replay.state(),
             "noise": self.noise.state(),
             "env": self.env.state(),
         }
-        return lambda: Checkpoint(state["counters"]["episode"], agent | {"replay/transitions": rows()}, state)
+        return lambda: Checkpoint(
+            state["counters"]["episode"], agent | {f"replay/{name}": array for name, array in replay().items()}, state
+        )
 
     def restore(self, saved: Checkpoint) -> None:
         """Go on from a checkpoint. Raises :class:`CheckpointError` if it is not one of such a learner."""
         try:
             saved = self._of_today(saved)
-            agent = {name.removeprefix("agent/"): array for name, array in saved.arrays.items() if name.startswith("agent/")}
+            agent, replay = (
+                {name.removeprefix(part): array for name, array in saved.arrays.items() if name.startswith(part)}
+                for part in ("agent/", "replay/")
+            )
             self.counters.restore(saved.state["counters"])
             if self.counters.episode != saved.episode:
                 raise ValueError(f"it holds episode {self.counters.episode}")
             self.agent.load_tensors({name: torch.from_numpy(array) for name, array in agent.items()})
-            self.replay.restore(saved.arrays["replay/transitions"], saved.state["replay"])
+            self.replay.restore(replay, saved.state["replay"])
             self.noise.restore(saved.state["noise"])
             self.env.restore(saved.state["env"])
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:

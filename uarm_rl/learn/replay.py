@@ -1,8 +1,8 @@
-"""The ring that stores transitions. It is dumb: what may enter is decided elsewhere (``admission``)."""
+"""The ring that stores transitions. It is dumb: ``admission`` decides what may enter, ``sampling`` what is drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.learn.returns import Transition
+from uarm_rl.learn.sampling import Sampling, Uniform
 
 Array = NDArray[np.float32]
 
@@ -22,23 +23,34 @@ class Batch(NamedTuple):
     reward: Array  # (n, 1)
     next_observation: Array  # (n, observation_size)
     discount: Array  # (n, 1), what the next state counts; 0 after a termination
+    weight: Array | None = None  # (n, 1), what the transition counts in the critic's gradient; all alike if left out
 
 
 class ReplayBuffer:
-    """First in, first out; sampling is uniform with replacement.
+    """First in, first out.
 
     One float32 row holds one whole transition, so that a sample is a single gather.
     """
 
-    def __init__(self, capacity: int, *, observation_size: int, action_size: int, generator: np.random.Generator) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        *,
+        observation_size: int,
+        action_size: int,
+        generator: np.random.Generator,
+        sampling: Sampling | None = None,
+    ) -> None:
         checks.integer("buffer.capacity", capacity, low=1, high=10_000_000)
         ends = np.cumsum([observation_size, action_size, 1, observation_size, 1]).tolist()
         self._fields = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
         self.rows = np.zeros((capacity, ends[-1]), np.float32)
         self.added = 0  # transitions ever added; the cursor is its remainder
         self.generator = generator
+        self._sampling = sampling or Uniform()
+        self._drawn = np.empty(0, np.int64)  # the places of the last sample
         self._sample = np.empty((0, ends[-1]), np.float32)
-        self._overwritten: list[tuple[Array, Array]] = []  # since ``rows_of_now``
+        self._overwritten: list[tuple[Array, Array]] = []  # since ``snapshot``
 
     @property
     def capacity(self) -> int:
@@ -54,45 +66,56 @@ class ReplayBuffer:
             self._overwritten.append((row, row.copy()))
         for field, value in zip(self._fields, transition, strict=True):
             row[field] = value
+        self._sampling.added(self.added % self.capacity)
         self.added += 1
 
     def state(self) -> dict[str, Any]:
-        """What a resume needs besides the stored rows; JSON."""
-        return {"added": self.added, "generator": self.generator.bit_generator.state}
+        """What a resume needs besides the arrays of ``snapshot``; JSON."""
+        return {"added": self.added, "generator": self.generator.bit_generator.state} | self._sampling.state()
 
-    def rows_of_now(self) -> Callable[[], Array]:
-        """A function that gives the rows stored now, shape (n, row), whatever has been added when it is called.
+    def snapshot(self) -> Callable[[], dict[str, NDArray[Any]]]:
+        """A function that gives the arrays of now, by name, whatever has been added when it is called.
 
-        It puts back what was overwritten, which alone is copied, and when it is; after it the additions are gone. It is good
-        until this is called again.
+        ``transitions`` are the rows, shape (n, row). It puts back those that were overwritten, which alone are copied, and when
+        they are; after it the additions are gone. It is good until this is called again.
         """
         stored = len(self)
+        sampled = self._sampling.arrays(stored)
         overwritten: list[tuple[Array, Array]] = []
         self._overwritten = overwritten
 
-        def rows() -> Array:
+        def arrays() -> dict[str, NDArray[Any]]:
             for row, before in reversed(overwritten):  # the oldest last: a small ring may have come around twice
                 row[:] = before
-            return self.rows[:stored]
+            return {"transitions": self.rows[:stored], **sampled}
 
-        return rows
+        return arrays
 
-    def restore(self, rows: Array, state: dict[str, Any]) -> None:
-        """Take over rows and state of another buffer of the same shape; :class:`ValueError` if they do not fit."""
+    def restore(self, arrays: Mapping[str, NDArray[Any]], state: dict[str, Any]) -> None:
+        """Take over arrays and state of another buffer of the same shape; :class:`ValueError` if they do not fit."""
+        others = dict(arrays)
+        rows = others.pop("transitions")
         added = checks.integer("replay.added", state["added"], low=0, high=2**62)
         expected = (min(added, self.capacity), self.rows.shape[1])
         if rows.shape != expected or rows.dtype != np.float32:
             raise ValueError(f"it holds rows of shape {rows.shape}, not {expected}")
+        self._sampling.restore(
+            len(rows), others, {key: value for key, value in state.items() if key not in ("added", "generator")}
+        )
         self.generator.bit_generator.state = checks.generator_state("replay.generator", state["generator"])
         self.rows[: len(rows)] = rows
         self.added = added
 
-    def sample(self, batch_size: int) -> Batch:
-        """``batch_size`` transitions, drawn uniformly with replacement. Raises ``ValueError`` while empty."""
+    def sample(self, batch_size: int, progress: float = 0.0) -> Batch:
+        """``batch_size`` transitions. ``progress`` runs from 0 to 1 over the training. Raises ``ValueError`` while empty."""
         if not len(self):
             raise ValueError("the replay buffer is empty; store a transition before sampling")
         if len(self._sample) != batch_size:
             self._sample = np.empty((batch_size, self.rows.shape[1]), np.float32)
-        indices = self.generator.integers(len(self), size=batch_size)
-        np.take(self.rows, indices, axis=0, out=self._sample, mode="clip")  # "clip" writes into out without a copy
-        return Batch(*(self._sample[:, field] for field in self._fields))
+        self._drawn, weight = self._sampling.draw(len(self), batch_size, progress, self.generator)
+        np.take(self.rows, self._drawn, axis=0, out=self._sample, mode="clip")  # "clip" writes into out without a copy
+        return Batch(*(self._sample[:, field] for field in self._fields), weight)
+
+    def learned(self, errors: Array) -> None:
+        """An update has used the last sample; ``errors``, shape (batch_size, 1), are its temporal differences."""
+        self._sampling.learned(self._drawn, errors[:, 0].astype(np.float64))

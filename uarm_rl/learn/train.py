@@ -67,11 +67,12 @@ def train(
         last_decision = first_decision + schedule.max_decisions_per_episode
 
         while counters.experiences < first_experience + schedule.experiences_per_episode and counters.decisions < last_decision:
-            noise = learner.noise(counters.experiences / total)
+            progress = counters.experiences / total
+            noise = learner.noise(progress)
             action = np.clip(learner.policy.act(observation) + noise, -1.0, 1.0, dtype=np.float32)
             env.step_async(action)
             while counters.updates < schedule.updates_per_experience * (learner.stored - schedule.warmup_experiences):
-                metrics = learner.update(schedule.batch_size)
+                metrics = learner.update(schedule.batch_size, progress)
             step = next_observation, reward, terminated, truncated, info = env.step_wait()
             if stop.requested:
                 return
