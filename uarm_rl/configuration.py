@@ -35,7 +35,11 @@ Settings = dict[str, Any]
 #: Configuration group -> its classes by name. Texts, so that a command imports only what it uses.
 OPEN_SETS: Final = {
     "hold": {"fixed": "uarm_rl.task.hold:FixedHold", "until_steady": "uarm_rl.task.hold:UntilSteady"},
-    "admission": {"all": "uarm_rl.learn.admission:AdmitAll", "not_stuck": "uarm_rl.learn.admission:NotStuck"},
+    "admission": {
+        "all": "uarm_rl.learn.admission:AdmitAll",
+        "not_stuck": "uarm_rl.learn.admission:NotStuck",
+        "every_step": "uarm_rl.learn.admission:EveryStep",
+    },
     "sampling": {"uniform": "uarm_rl.learn.sampling:Uniform", "prioritized": "uarm_rl.learn.sampling:Prioritized"},
     "reward": {"plain": "uarm_rl.task.reward:DistanceReward", "penalty": "uarm_rl.task.reward:DistanceReward"},
     "noise": {"ornstein_uhlenbeck": "uarm_rl.learn.noise:OrnsteinUhlenbeck"},
@@ -97,13 +101,19 @@ def build_env(
     time_limit_s: float | None,
     render_mode: str | None = None,
     picture_size: tuple[int, int] = (480, 360),
+    keep_within: bool = False,
 ) -> UArmSuctionEnv:
     """The suction task over the simulated arm, from a whole training configuration.
 
+    ``keep_within`` is for training, where the control steps within a decision are stored too.
     A window opens for ``render_mode="human"`` alone: ``sim.gui`` is for the one environment that somebody watches.
     """
     from uarm_rl.task.env import UArmSuctionEnv
 
+    if keep_within and checks.mapping("servo", settings["servo"]).get("name") != "second_order":
+        raise UsageError(
+            "admission=every_step needs servo=second_order: others begin a move anew when they are commanded again"
+        )
     sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
     servo, cup = build("servo", settings["servo"]), build("cup", settings["cup"])
     arm: SimulatedArm = build("sim", sim, servo=servo, cup=cup, control_hz=settings["control_hz"])
@@ -119,6 +129,7 @@ def build_env(
         time_limit_s=time_limit_s,
         object_height_m=sim["object_size_m"],
         ghost_share=settings["ghost_share"],
+        keep_within=keep_within,
         render_mode=render_mode,
         render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size),

@@ -114,7 +114,7 @@ PRIORITIZED = ("sampling@buffer.sampling=prioritized", "agent.n_steps=3", "buffe
 
 @pytest.mark.parametrize(
     "method",
-    [("buffer=uniform",), ("buffer=adaptive",), ("buffer=uniform", *PRIORITIZED)],
+    [("buffer=uniform",), ("buffer=adaptive",), ("buffer=every_step", *PRIORITIZED)],
     ids=["uniform", "adaptive", "prioritized"],
 )
 def test_an_interrupted_and_resumed_run_ends_as_an_uninterrupted_one(tmp_path, monkeypatch, method, capsys):

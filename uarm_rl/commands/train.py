@@ -95,7 +95,8 @@ def _learner(settings: Settings) -> Learner:
     networks = torch.Generator().manual_seed(network_seed)
     agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=networks)
     watched = "human" if checks.boolean("sim.gui", settings["sim"]["gui"]) else None
-    make_env = partial(build_env, settings, time_limit_s=None, render_mode=watched)
+    admission = build("admission", settings["buffer"]["admission"])
+    make_env = partial(build_env, settings, time_limit_s=None, render_mode=watched, keep_within=admission.within)
     env_class = SubprocessEnv if settings["simulate_beside"] else InlineEnv
     return Learner(
         replay=ReplayBuffer(
@@ -106,7 +107,7 @@ def _learner(settings: Settings) -> Learner:
             sampling=build("sampling", settings["buffer"]["sampling"]),
         ),
         noise=build("noise", settings["noise"], action_size=ACTION_SIZE, generator=np.random.default_rng(seeds[3])),
-        admission=build("admission", settings["buffer"]["admission"]),
+        admission=admission,
         agent=agent,
         policy=agent.policy(policy_card(settings)),
         env=env_class(make_env, env_seed),

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from uarm_rl import checks
 
 
 class Admission(Protocol):
-    """A rule for what is stored."""
+    """A rule for what is stored.
+
+    ``within`` tells that the control steps of a decision that may enter do so too (:mod:`uarm_rl.task.within`). They do not
+    count as experiences: there is a gradient step for every decision, as without them.
+    """
+
+    within: ClassVar[bool]
 
     def admits(self, clipped: bool, travel_rad: float) -> bool:
         """Whether the transition may enter.
@@ -24,6 +30,8 @@ class Admission(Protocol):
 class AdmitAll:
     """Every transition enters: the common replay buffer."""
 
+    within: ClassVar[bool] = False
+
     def admits(self, clipped: bool, travel_rad: float) -> bool:
         return True
 
@@ -37,9 +45,17 @@ class NotStuck:
     """
 
     stuck_threshold_rad: float
+    within: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         checks.number("admission.stuck_threshold_rad", self.stuck_threshold_rad, low=0.0, open_low=True)
 
     def admits(self, clipped: bool, travel_rad: float) -> bool:
         return not (clipped and travel_rad < self.stuck_threshold_rad)
+
+
+@dataclass(frozen=True)
+class EveryStep(NotStuck):
+    """Waste nothing: of every decision that is not stuck, the control steps within it enter too, each with its own target."""
+
+    within: ClassVar[bool] = True

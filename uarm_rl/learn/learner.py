@@ -19,6 +19,7 @@ from uarm_rl.learn.noise import OrnsteinUhlenbeck
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.returns import Transition
 from uarm_rl.task.policy import ActorPolicy
+from uarm_rl.task.within import Within
 
 Array = NDArray[np.float32]
 
@@ -59,12 +60,25 @@ class Learner:
     counters: Counters = field(default_factory=Counters)
 
     def take(self, observation: Array, action: Array, step: Step) -> None:
-        """Take in what came of a decision: it counts as an experience if it may enter."""
+        """Take in what came of a decision: it counts as an experience if it may enter, and then its control steps enter too."""
         next_observation, reward, terminated, truncated, info = step
         returns = self.agent.returns
         if not info["exploded"] and self.admission.admits(info["clipped"], info["travel_rad"]):
-            discount = 0.0 if terminated else returns.discount(info["control_steps"])
-            self._store(returns.add(Transition(observation, action, reward, next_observation, discount)))
+            whole = Within(observation, action, reward, info["control_steps"])
+            self._store(
+                returns.add(
+                    *(
+                        Transition(
+                            one.observation,
+                            one.action,
+                            one.reward,
+                            next_observation,
+                            0.0 if terminated else returns.discount(one.control_steps),
+                        )
+                        for one in (whole, *info.get("within", ()))
+                    )
+                )
+            )
             self.counters.experiences += 1
         else:
             self.end_chain()

@@ -16,6 +16,7 @@ from uarm_rl.task.arm import Arm, ArmError, Ghost, JointPositions, PhysicsError,
 from uarm_rl.task.hold import Hold
 from uarm_rl.task.observation import SIZE, Observation, observe
 from uarm_rl.task.reward import DistanceReward, RewardTerms
+from uarm_rl.task.within import Moment, Within, decisions_within
 
 ACTION_SIZE: Final = 3
 
@@ -47,6 +48,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     while over it, and ``contact_n``, the largest normal force between them. How the decision went, control step by control
     step, is in ``trace``.
 
+    With ``keep_within``, for training, ``info`` of a ``step`` has ``within`` too: the decisions that might have begun at the
+    control steps of this one (:mod:`uarm_rl.task.within`).
+
     ``metadata`` is each environment's own: ``render_fps`` is the number of decisions a second, so that a film with a picture a
     decision plays at about the arm's speed; with ``rgb_array_list``, ``render`` has a picture for every control step.
 
@@ -69,6 +73,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         time_limit_s: float | None,
         object_height_m: float,
         ghost_share: float = 0.0,
+        keep_within: bool = False,
         render_mode: str | None = None,
         render_modes: Sequence[str] = (),
         take_picture: Callable[[], NDArray[np.uint8]] | None = None,
@@ -91,6 +96,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._over_m = object_height_m / 2.0 + kinematics.CUP_RADIUS_M
         self._ghost_share = checks.number("ghost_share", ghost_share, low=0.0, high=1.0)
         self._solid, self._ghost = target, Ghost()
+        self._keep_within = keep_within
+        self._moments: list[Moment] = []
         self._take_picture = take_picture
         self._pictures: list[NDArray[np.uint8]] = []
         self._trace: list[NDArray[np.float64]] = []
@@ -144,7 +151,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise gymnasium.error.ResetNeeded("step needs a reset before it, in a copy too")
         start_joints, start_cup, start_object = self._joints, self._link_ends[3].tolist(), self._object
         clipped = self._command(action)
-        self._trace, control_steps = [], 0
+        self._trace, self._moments, control_steps = [], [], 0
         self._press_m = self._contact_n = 0.0
         lost = timed_out = released = exploded = False
         while not (self._flag or lost or timed_out or released):
@@ -160,6 +167,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             timed_out = self._elapsed_steps >= self._step_limit
             travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
             released = self._hold.releases(control_steps, travel_rad)
+            if self._keep_within:
+                self._moments.append(self._moment(travel_rad, control_steps))
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
         terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object, self._press_m)
@@ -172,7 +181,19 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             object_lost=lost,
             exploded=exploded,
         )
+        if self._keep_within:
+            info["within"] = [] if exploded else self._within(self._flag or lost or timed_out)
         return self._observe(), terms.total, self._flag, not self._flag and (lost or timed_out or exploded), info
+
+    def _moment(self, travel_rad: float, control_steps: int) -> Moment:
+        cup = self._link_ends[3].tolist()
+        return Moment(self._observe(), self._joints, cup, self._object, self._depth_m(cup), travel_rad, control_steps)
+
+    def _within(self, ended: bool) -> list[Within]:
+        def action_from(joints: JointPositions) -> NDArray[np.float64]:
+            return np.subtract(self._reference, joints) / self._max_delta_rad
+
+        return decisions_within(self._moments, action_from, self._hold, self._reward, ended=ended)
 
     def _info(
         self,
@@ -221,7 +242,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         d1, d2, d3 = (self._max_delta_rad * delta).tolist()
         j1, j2, j3 = self._joints
         wanted = j1 + d1, j2 + d2, j3 + d3
-        reference = kinematics.clip_to_limits(*wanted)
+        self._reference = reference = kinematics.clip_to_limits(*wanted)
         self._reference_press_m = self._depth_m(kinematics.forward(reference)[3].tolist())
         self.arm.command_joints(reference)
         return reference != wanted
