@@ -58,7 +58,7 @@ def _columns(*columns: Column) -> Columns:
 #: A row an episode of a training.
 PROGRESS: Final = _columns(
     Column("episode", WHOLE, "", "from 1"),
-    Column("experiences", WHOLE, "", "transitions stored so far"),
+    Column("experiences", WHOLE, "", "decisions stored so far"),
     Column("control_steps", WHOLE, "", "so far, 0.05 s each unless `control_hz` says otherwise"),
     Column("updates", WHOLE, "", "gradient steps so far"),
     Column("admission_rate", RATE, "", "share of this episode's decisions that were stored"),
