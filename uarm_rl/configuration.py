@@ -50,7 +50,12 @@ OPEN_SETS: Final = {
     },
     "sim": {"pybullet": "uarm_rl.sim.pybullet_arm:SimArm", "mujoco": "uarm_rl.sim.mujoco_arm:MujocoArm"},
     "cup": {"rigid": "uarm_rl.sim.cup:rigid", "bellows": "uarm_rl.sim.cup:Bellows"},
-    "agent": {"ddpg": "uarm_rl.learn.ddpg:DDPG"},
+    "agent": {
+        "ddpg": "uarm_rl.learn.ddpg:DDPG",
+        "sb3_td3": "uarm_rl.learn.sb3:TwinDelayed",
+        "sb3_sac": "uarm_rl.learn.sb3:SoftActorCritic",
+        "sb3_her": "uarm_rl.learn.sb3:Hindsight",
+    },
     "camera": {
         "openmv": "uarm_rl.real.vision.camera:OpenMVCamera",
         "webcam": "uarm_rl.real.vision.camera:Webcam",

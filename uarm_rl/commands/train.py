@@ -4,12 +4,14 @@ Examples:
   uarm-rl train experiment=C episodes=100             method C of the paper, for a short budget
   uarm-rl train buffer=adaptive reward=penalty seed=1 the same method, chosen by its parts
   uarm-rl train -m experiment=A,B,C,D seed=0,1,2      twelve runs; resume=true skips and continues
+  uarm-rl train agent=sb3_td3 buffer=uniform name=td3 Stable-Baselines3's TD3 on the same task
 """
 
 from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from functools import partial
 from importlib.util import find_spec
@@ -57,20 +59,12 @@ def run(settings: Settings) -> None:
     with ExitStack() as stack:
         # Everything is built, and so every value checked, before the folder is touched.
         validation_env = stack.enter_context(closing(build_env(settings, time_limit_s=settings["time_limit_s"])))
-        learner = _learner(settings)
-        stack.callback(learner.env.close)
-        learner.env.state()  # the environment beside begins when it is asked
+        begin = _library if checks.text("agent.name", settings["agent"]["name"]).startswith("sb3_") else _ours
+        train = begin(settings, schedule, stack)
         stack.enter_context(session.claim(run_dir, kept, read_run, resume=settings["resume"], overwrite=settings["overwrite"]))
         experiences = schedule.episodes * schedule.experiences_per_episode
         print(f"{run_dir}: {experiences:,} decisions and gradient steps in all")
-        finished = session.run(
-            run_dir,
-            learner,
-            schedule,
-            validate=lambda policy: successes(validation_env, policy, validation_positions),
-            value_range=value_range(settings),
-            tensorboard=settings["tensorboard"],
-        )
+        finished = train(run_dir, validate=lambda policy: successes(validation_env, policy, validation_positions))
     if finished:
         print(f"trained: {run_dir}; test it with: uarm-rl evaluate run={shlex.quote(str(run_dir))}")
     else:
@@ -88,15 +82,53 @@ def output(settings: Settings) -> Path:
     return checks.path("results_dir", settings["results_dir"]) / name / f"seed{seed}"
 
 
+def _ours(settings: Settings, schedule: Schedule, stack: ExitStack) -> Callable[..., bool]:
+    """Our own learner and loop, to be called with the folder and ``validate``. Everything is built, and so checked, before."""
+    learner = _learner(settings)
+    stack.callback(learner.env.close)
+    learner.env.state()  # the environment beside begins when it is asked
+    return partial(
+        session.run,
+        learner=learner,
+        schedule=schedule,
+        value_range=value_range(settings),
+        tensorboard=settings["tensorboard"],
+    )
+
+
+def _library(settings: Settings, schedule: Schedule, stack: ExitStack) -> Callable[..., bool]:
+    """A learner of Stable-Baselines3 in its own loop, to be called likewise."""
+    name = settings["agent"]["name"]
+    if not find_spec("stable_baselines3"):
+        raise UsageError(f"agent={name} needs an extra; {checks.how_to_add('sb3')}")
+    if settings["tensorboard"]:
+        raise UsageError(f"tensorboard=true is for agent=ddpg; what agent={name} learns is in progress.csv")
+    from uarm_rl.learn import sb3_training
+
+    sb3_training.check_settings(settings["buffer"], name)
+    return partial(
+        sb3_training.run,
+        agent=build("agent", settings["agent"], action_size=ACTION_SIZE),
+        env=stack.enter_context(closing(build_env(settings, time_limit_s=None, render_mode=_watched(settings)))),
+        schedule=schedule,
+        seed=int(np.random.SeedSequence(settings["seed"]).generate_state(1)[0]),
+        capacity=checks.integer("buffer.capacity", settings["buffer"]["capacity"], low=1, high=10_000_000),
+        card=policy_card(settings),
+    )
+
+
+def _watched(settings: Settings) -> str | None:
+    return "human" if checks.boolean("sim.gui", settings["sim"]["gui"]) else None
+
+
 def _learner(settings: Settings) -> Learner:
     """All that learns, each part with a generator of its own."""
     seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
     env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
     networks = torch.Generator().manual_seed(network_seed)
     agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=networks)
-    watched = "human" if checks.boolean("sim.gui", settings["sim"]["gui"]) else None
     admission = build("admission", settings["buffer"]["admission"])
-    make_env = partial(build_env, settings, time_limit_s=None, render_mode=watched, keep_within=admission.within)
+    make_env = partial(build_env, settings, time_limit_s=None, render_mode=_watched(settings), keep_within=admission.within)
     env_class = SubprocessEnv if settings["simulate_beside"] else InlineEnv
     return Learner(
         replay=ReplayBuffer(

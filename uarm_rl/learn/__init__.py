@@ -7,6 +7,8 @@ Read ``train.py`` first: the loop, and nothing else. What it is handed is one ``
   of the future, what is drawn, and exploration
 - ``async_env.py``: the environment whose step is in two halves, here or in a process of its own
 
+``sb3.py`` has other learners, Stable-Baselines3's, and makes policies of them; ``sb3_training.py`` trains these.
+
 ``run.py`` keeps a training in its folder: claim, progress, validation, stop, resume; ``checkpoint.py`` is what is on disk.
 
 Uses ``task`` alone; the only owner of torch. Knows nothing of PyBullet, configuration files or commands.

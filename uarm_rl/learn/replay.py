@@ -114,7 +114,7 @@ class ReplayBuffer:
             self._sample = np.empty((batch_size, self.rows.shape[1]), np.float32)
         self._drawn, weight = self._sampling.draw(len(self), batch_size, progress, self.generator)
         np.take(self.rows, self._drawn, axis=0, out=self._sample, mode="clip")  # "clip" writes into out without a copy
-        return Batch(*(self._sample[:, field] for field in self._fields), weight=weight)
+        return Batch(*(self._sample[:, field] for field in self._fields))._replace(weight=weight)
 
     def learned(self, errors: Array) -> None:
         """An update has used the last sample; ``errors``, shape (batch_size, 1), are its temporal differences."""

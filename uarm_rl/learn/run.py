@@ -149,7 +149,7 @@ def run(
         log = Logbook(run_dir / PROGRESS, columns.PROGRESS, keep_rows=counters.episode)
         stack.callback(log.close)
         write_scalars = stack.enter_context(_tensorboard(run_dir)) if tensorboard else None
-        bar = stack.enter_context(_progress_bar(run_dir, schedule, counters))
+        bar = stack.enter_context(progress_bar(run_dir, schedule, counters))
         stop = stack.enter_context(stop_on_signals(bar.write))
 
         def end_of_episode(row: dict[str, object]) -> None:
@@ -230,7 +230,8 @@ class _Bar:
 
 
 @contextmanager
-def _progress_bar(run_dir: Path, schedule: Schedule, counters: Counters) -> Iterator[_Bar]:
+def progress_bar(run_dir: Path, schedule: Schedule, counters: Counters) -> Iterator[_Bar]:
+    """A bar for a run in its folder; ``show`` it each episode's row."""
     from tqdm import tqdm
 
     with tqdm(
