@@ -32,7 +32,7 @@ def folder(tmp_path, monkeypatch):
         ("uarm-rl evaluate hold=un", ["hold=until_steady"]),
         ("uarm-rl evaluate bu", []),  # a group that this command does not have
         ("uarm-rl train buf", ["buffer=", "buffer."]),
-        ("uarm-rl train agent.ga", ["agent.gamma="]),
+        ("uarm-rl train agent.ga", ["agent.gamma=", "agent.gamma_per="]),
         ("uarm-rl train servo=stepper servo.fe", ["servo.feed="]),
         ("uarm-rl train --epi", ["--episodes"]),
         ("uarm-rl run-real --dry", ["--dry-run"]),

@@ -21,7 +21,11 @@ from uarm_rl.learn.sb3 import Goals, from_sb3
 from uarm_rl.learn.sb3_training import TrainingEpisodes
 from uarm_rl.task import observation
 from uarm_rl.task.env import UArmSuctionEnv
-from uarm_rl.task.policy import ActorPolicy, scale
+from uarm_rl.task.policy import ActorPolicy
+
+
+def scale(raw: np.ndarray) -> np.ndarray:
+    return (raw - observation.OFFSET) / observation.SCALE
 
 
 class Spaces(gymnasium.Env):

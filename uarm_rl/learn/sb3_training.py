@@ -31,8 +31,9 @@ from uarm_rl.learn.learner import Counters
 from uarm_rl.learn.run import progress_bar, stop_on_signals
 from uarm_rl.learn.sb3 import Hindsight, SoftActorCritic, TwinDelayed, from_sb3
 from uarm_rl.learn.train import Schedule, Stop
+from uarm_rl.task import observation
 from uarm_rl.task.env import UArmSuctionEnv
-from uarm_rl.task.policy import ActorPolicy, PolicyCard, scale
+from uarm_rl.task.policy import ActorPolicy, PolicyCard
 
 Array = NDArray[np.float32]
 
@@ -43,6 +44,11 @@ _SUMS: Final = {
     "object_lost": "object_losses",
     "exploded": "explosions",
 }
+
+
+def _scaled(raw: Array) -> Array:
+    scaled: Array = (raw - observation.OFFSET) / observation.SCALE
+    return scaled
 
 
 class TrainingEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -65,7 +71,7 @@ class TrainingEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         raw, info = self.env.reset(seed=seed, options={"home": self._home})
         self._home = False
-        return scale(raw), info
+        return _scaled(raw), info
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         raw, reward, terminated, truncated, info = self.env.step(action)
@@ -80,7 +86,7 @@ class TrainingEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
             self._home = True
         if not self._left:
             self._left, truncated = self._decisions, not terminated
-        return scale(raw), float(reward), terminated, truncated, info
+        return _scaled(raw), float(reward), terminated, truncated, info
 
 
 class _Log(BaseCallback):
