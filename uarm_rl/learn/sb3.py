@@ -78,7 +78,9 @@ class Goals(gymnasium.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self._tolerance_m = tolerance_m
         sizes = {"achieved_goal": 3, "desired_goal": 3, "observation": len(self._REST)}
-        boxes = {name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in sizes.items()}
+        boxes: dict[str, gymnasium.Space[Any]] = {
+            name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in sizes.items()
+        }
         self.observation_space = gymnasium.spaces.Dict(boxes)
 
     @classmethod
@@ -112,8 +114,8 @@ class _Learner:
     """A model's settings, and how it is made: the choices of the group ``agent`` whose names begin with ``sb3_``."""
 
     def __init__(self, *, hidden: Sequence[int], gamma: float, tau: float, learning_rate: float) -> None:
-        self._policy = {"net_arch": checks.integers("agent.hidden", hidden, low=1, high=10_000)}
-        self._common = {
+        self._policy: dict[str, Any] = {"net_arch": checks.integers("agent.hidden", hidden, low=1, high=10_000)}
+        self._common: dict[str, Any] = {
             "gamma": checks.number("agent.gamma", gamma, low=0.0, high=1.0),
             "tau": checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True),
             "learning_rate": checks.number("agent.learning_rate", learning_rate, low=0.0, high=1.0, open_low=True),
@@ -156,7 +158,7 @@ class TwinDelayed(_Learner):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__(hidden=hidden, gamma=gamma, tau=tau, learning_rate=learning_rate)
-        self._own = {
+        self._own: dict[str, Any] = {
             "policy_delay": checks.integer("agent.policy_delay", policy_delay, low=1, high=1000),
             "target_policy_noise": checks.number("agent.target_policy_noise", target_policy_noise, low=0.0, high=10.0),
             "target_noise_clip": checks.number("agent.target_noise_clip", target_noise_clip, low=0.0, high=10.0),

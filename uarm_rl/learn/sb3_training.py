@@ -110,7 +110,7 @@ class _Log(BaseCallback):
         counters.episode += 1
         counters.experiences = counters.decisions = self.num_timesteps
         counters.control_steps += int(sums.pop("control_steps"))
-        counters.updates = self.model._n_updates  # type: ignore[attr-defined]
+        counters.updates = self.model._n_updates
         counters.wall_s += time.perf_counter() - self._began
         losses = {name: self.logger.name_to_value.get(f"train/{name}") for name in ("critic_loss", "actor_loss")}
         row: dict[str, object] = {
