@@ -24,12 +24,12 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
 from uarm_rl import configuration, files
 from uarm_rl.commands import arm_settings
 from uarm_rl.emulator.emulate import Workplace
 from uarm_rl.emulator.memory_port import MemoryPort
+from uarm_rl.progress import shown
 from uarm_rl.real.link import Link
 from uarm_rl.real.search import CameraSearch
 from uarm_rl.real.swift_arm import SwiftArm
@@ -113,7 +113,7 @@ def main() -> None:
     ]
     work = partial(trials_of, arguments.policy, arguments.trials)
     with ProcessPoolExecutor(cores(), get_context("spawn")) as pool:
-        rows = [row for rows in tqdm(pool.map(work, points), total=len(points), unit="arm") for row in rows]
+        rows = [row for rows in shown(pool.map(work, points), len(points), "arm", "arms") for row in rows]
     table = pd.DataFrame(rows).groupby(["sweep", "value"], sort=False)["success"].agg(trials="size", held="sum").reset_index()
     table["success_rate"] = table["held"] / table["trials"]
     intervals = [statistics.wilson_interval(int(row.held), int(row.trials)) for row in table.itertuples()]

@@ -27,14 +27,15 @@ WINGS = {
     "learn": {"task"},
     "evaluation": {"task"},
     "report": {"task"},
+    "export": {"task", "report"},
     "emulator": {"task", "sim", "real"},
     "configuration": {"task", "sim", "real", "learn"},
-    "commands": {"task", "sim", "real", "learn", "evaluation", "report", "emulator", "configuration"},
+    "commands": {"task", "sim", "real", "learn", "evaluation", "export", "report", "emulator", "configuration"},
     "cli": {"commands", "configuration", "uarm_rl"},
     "uarm_rl": {"configuration", "task"},
     "__main__": {"cli"},
 }
-ROOT_FILES = {"checks", "columns", "csvfile", "files", "signals", "studies", "workers"}
+ROOT_FILES = {"checks", "columns", "csvfile", "files", "progress", "signals", "studies", "workers"}
 
 #: Third-party packages, and the parts of the package that may use them.
 OWNERS = {
@@ -49,6 +50,8 @@ OWNERS = {
     "stable_baselines3": ("learn.sb3", "learn.sb3_training"),
     "matplotlib": ("report",),
     "pandas": ("report",),
+    "onnx": ("export",),
+    "tqdm": ("progress",),
     "safetensors": ("task.policy", "learn.checkpoint"),
 }
 

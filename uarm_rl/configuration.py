@@ -56,6 +56,13 @@ OPEN_SETS: Final = {
         "sb3_sac": "uarm_rl.learn.sb3:SoftActorCritic",
         "sb3_her": "uarm_rl.learn.sb3:Hindsight",
     },
+    "logger": {
+        "csv": "uarm_rl.learn.loggers:Csv",
+        "tensorboard": "uarm_rl.learn.loggers:TensorBoard",
+        "wandb": "uarm_rl.learn.loggers:WeightsAndBiases",
+        "mlflow": "uarm_rl.learn.loggers:MLflow",
+        "trackio": "uarm_rl.learn.loggers:Trackio",
+    },
     "camera": {
         "openmv": "uarm_rl.real.vision.camera:OpenMVCamera",
         "webcam": "uarm_rl.real.vision.camera:Webcam",
@@ -242,7 +249,10 @@ def _near(name: str, command: str) -> str:
     having = [choice for choice in choices(group) if f"\n{key}:" in (folder / f"{choice}.yaml").read_text(encoding="utf-8")]
     if having:
         return f"; it belongs to {' and '.join(f'{group}={choice}' for choice in having)}."
-    known = [*groups_of(command), *flat(compose(command, incomplete=True))]
+    choices_of = groups_of(command)
+    if chosen := [f"{group}={name}" for group, names in choices_of.items() if name in names]:
+        return f"; did you mean {chosen[0]}?"
+    known = [*choices_of, *flat(compose(command, incomplete=True))]
     same = [other for other in known if other.rpartition(".")[2] == name]
     return f"; did you mean {same[0]}?" if same else did_you_mean(name, known)
 

@@ -18,6 +18,7 @@ from typing import Final
 CONFIG: Final = "config.yaml"
 PROGRESS: Final = "progress.csv"
 POLICY: Final = "policy.safetensors"
+LOCK: Final = ".lock"  # held by the process that trains there
 
 
 def replace(path: Path, data: bytes) -> None:

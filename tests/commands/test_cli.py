@@ -213,6 +213,7 @@ def test_the_whole_configuration_can_be_seen(tmp_path):
         (["train", "agent.gama=0.5"], 2, ["no setting 'agent.gama'", "did you mean agent.gamma?"]),
         (["train", "gamma=0.5"], 2, ["no setting 'gamma'", "did you mean agent.gamma?"]),
         (["train", "servo.feed=20"], 2, ["no setting 'servo.feed'; it belongs to servo=stepper"]),
+        (["train", "tensorboard=true"], 2, ["no setting 'tensorboard'; did you mean logger=tensorboard?"]),
         (["train", "bufer=adaptive"], 2, ["no setting 'bufer'", "did you mean buffer?"]),
         (["train", "buffer=adaptve"], 2, ["no buffer=adaptve", "did you mean adaptive?", "uniform"]),
         (["train", "buffer="], 2, ["no buffer=;", "uniform"]),

@@ -247,8 +247,8 @@ def places() -> Iterator[Case]:
         yield Case("positions", what, _OWN_POSITIONS, prepare("p.csv"))
     yield Case("positions", "zeros", _OWN_POSITIONS, link("p.csv", "/dev/zero"))
     yield Case("link", "the run itself, to a foreign folder", EVALUATE, link(RUN, "OUTSIDE/folder"))
-    board = (*TRAIN, "tensorboard=true")
-    yield Case("link", "tensorboard", board, link(f"{HALF}/tensorboard", "OUTSIDE/folder"), accepted=True)
+    for name in ("tensorboard", "wandb"):
+        yield Case("link", name, (*TRAIN, f"logger={name}"), link(f"{HALF}/{name}", "OUTSIDE/folder"), accepted=True)
     for target in ("OUTSIDE/folder", "OUTSIDE/new"):
         many = ("train", "-m", *TOY, "results_dir=half", "resume=true")
         yield Case("link", f".hydra of many runs -> {target}", many, link("half/.hydra", target), accepted=True)

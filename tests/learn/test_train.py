@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from tests.conftest import CARD
-from uarm_rl.learn import checkpoint
+from uarm_rl.learn import checkpoint, loggers
 from uarm_rl.learn import run as session
 from uarm_rl.learn.admission import NotStuck
 from uarm_rl.learn.ddpg import DDPG
@@ -185,7 +185,9 @@ def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):
     schedule = Schedule(
         3, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=1
     )
-    assert session.run(tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), tensorboard=False)
+    assert session.run(
+        tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), log=loggers.Csv().opened(tmp_path, {})
+    )
     with open(tmp_path / "progress.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["validation_success_rate"] for row in rows] == ["", "0.4", "0.4"]  # the last one always
@@ -210,7 +212,9 @@ def test_a_stop_during_a_validation_does_not_wait_for_its_end(tmp_path):
     schedule = Schedule(
         4, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=4
     )
-    assert not session.run(tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), tensorboard=False)
+    assert not session.run(
+        tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), log=loggers.Csv().opened(tmp_path, {})
+    )
     assert asked == [0, 1]
     assert checkpoint.read_latest(tmp_path).episode == 1
 

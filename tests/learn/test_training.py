@@ -15,11 +15,10 @@ import numpy as np
 import pytest
 
 from tests.conftest import FAST, uarm_rl
-from uarm_rl import configuration
+from uarm_rl import configuration, progress
 from uarm_rl.commands import train as commands_train
 from uarm_rl.evaluation import evaluate
 from uarm_rl.learn import checkpoint
-from uarm_rl.learn import run as learn_run
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
 from uarm_rl.learn.ddpg import DDPG, DivergenceError
 from uarm_rl.learn.run import RunFolderError
@@ -244,6 +243,6 @@ def _explode():
 
 
 def test_an_episode_that_takes_long_shows_a_sign_of_life(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(learn_run, "SILENCE_S", 0.0)
+    monkeypatch.setattr(progress._Lines, "silence_s", 0.0)
     train(tmp_path, "episodes=1")
-    assert capsys.readouterr().err.count(" 0/1 [") >= 25  # one each decision
+    assert capsys.readouterr().err.count(": 0 of 1 episodes, ") >= 25  # one each decision

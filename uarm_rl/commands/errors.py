@@ -9,6 +9,7 @@ from uarm_rl.task.arm import ArmError
 
 #: Libraries that an installation may lack on purpose.
 _MISSING: Final = {
+    "onnx": f"export needs it; {how_to_add('export')}",
     "cv2": f"camera and emulator need it; {how_to_add('real')}",
     "termios": "the emulator's ports are pseudo-terminals, which Windows does not have",
     "torch": "training needs it; pip install -c constraints.txt torch",

@@ -16,8 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from uarm_rl import checks, columns, csvfile, files, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose, in_engine, load_policy, read_run
@@ -25,6 +23,7 @@ from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import Row, measure, settled_distance_m, trace_rows
 from uarm_rl.files import POLICY
+from uarm_rl.progress import shown
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
 from uarm_rl.task.env import dwell_steps
@@ -131,8 +130,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     rows: list[Row] = []
     traces: list[Row] = []
     episodes = evaluate(make, policy, where, processes=min(processes, len(where)), ghost=thing == "ghost")
-    bar = tqdm(episodes, total=len(where), unit="position", desc=str(run_dir), dynamic_ncols=True)
-    for number, episode in enumerate(bar):
+    for number, episode in enumerate(shown(episodes, len(where), "position", str(run_dir))):
         row = measure(number, episode, common_reward, control_hz=control_hz) | conditions
         if settling:
             settled_m = settled_distance_m(episode.trace, window)

@@ -23,30 +23,32 @@ import torch
 
 from uarm_rl import checks, workers
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, policy_card, read_run, value_range
+from uarm_rl.configuration import Settings, build, build_env, flat, policy_card, read_run, value_range
 from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import run as session
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
 from uarm_rl.learn.learner import Learner
+from uarm_rl.learn.loggers import Logger
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule
 from uarm_rl.task import observation, positions
 from uarm_rl.task.env import ACTION_SIZE
 
 #: Settings that say how a run is carried out, not what comes of it; they are not kept with it.
-_TRANSIENT: Final = ("resume", "overwrite", "results_dir", "simulate_beside", "tensorboard")
+_TRANSIENT: Final = ("resume", "overwrite", "results_dir", "simulate_beside", "logger")
 
 
 def run(settings: Settings) -> None:
     """Train one policy in its run folder."""
     workers.one_thread()
     torch.set_num_threads(1)  # two threads are slower at this size, and would change the last bits
-    for name in ("resume", "overwrite", "simulate_beside", "tensorboard"):
+    for name in ("resume", "overwrite", "simulate_beside"):
         checks.boolean(name, settings[name])
     if settings["resume"] and settings["overwrite"]:
         raise UsageError("resume=true continues a run and overwrite=true deletes it; give one of them")
-    if settings["tensorboard"] and not find_spec("tensorboard"):
-        raise UsageError(f"tensorboard=true needs an extra; {checks.how_to_add('tensorboard')}")
+    logger: Logger = build("logger", settings["logger"])
+    if logger.needs and not find_spec(logger.needs):
+        raise UsageError(f"logger={logger.needs} needs an extra; {checks.how_to_add(logger.needs)}")
     run_dir = output(settings)
     kept = {key: value for key, value in settings.items() if key not in _TRANSIENT}
     kept["sim"] = checks.mapping("sim", settings["sim"]) | {"gui": False}
@@ -64,7 +66,11 @@ def run(settings: Settings) -> None:
         stack.enter_context(session.claim(run_dir, kept, read_run, resume=settings["resume"], overwrite=settings["overwrite"]))
         experiences = schedule.episodes * schedule.experiences_per_episode
         print(f"{run_dir}: {experiences:,} decisions and gradient steps in all")
-        finished = train(run_dir, validate=lambda policy: successes(validation_env, policy, validation_positions))
+        finished = train(
+            run_dir,
+            validate=lambda policy: successes(validation_env, policy, validation_positions),
+            log=logger.opened(run_dir, flat(kept)),
+        )
     if finished:
         print(f"trained: {run_dir}; test it with: uarm-rl evaluate run={shlex.quote(str(run_dir))}")
     else:
@@ -92,7 +98,6 @@ def _ours(settings: Settings, schedule: Schedule, stack: ExitStack) -> Callable[
         learner=learner,
         schedule=schedule,
         value_range=value_range(settings),
-        tensorboard=settings["tensorboard"],
     )
 
 
@@ -101,8 +106,6 @@ def _library(settings: Settings, schedule: Schedule, stack: ExitStack) -> Callab
     name = settings["agent"]["name"]
     if not find_spec("stable_baselines3"):
         raise UsageError(f"agent={name} needs an extra; {checks.how_to_add('sb3')}")
-    if settings["tensorboard"]:
-        raise UsageError(f"tensorboard=true is for agent=ddpg; what agent={name} learns is in progress.csv")
     from uarm_rl.learn import sb3_training
 
     sb3_training.check_settings(settings["buffer"], name)

@@ -9,7 +9,8 @@ Read ``train.py`` first: the loop, and nothing else. What it is handed is one ``
 
 ``sb3.py`` has other learners, Stable-Baselines3's, and makes policies of them; ``sb3_training.py`` trains these.
 
-``run.py`` keeps a training in its folder: claim, progress, validation, stop, resume; ``checkpoint.py`` is what is on disk.
+``run.py`` keeps a training in its folder: claim, progress, validation, stop, resume; ``checkpoint.py`` is what is on
+disk, ``loggers.py`` who else is told.
 
 Uses ``task`` alone; the only owner of torch. Knows nothing of PyBullet, configuration files or commands.
 """

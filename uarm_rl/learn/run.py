@@ -10,9 +10,8 @@ import math
 import multiprocessing
 import re
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
@@ -23,19 +22,16 @@ from filelock import FileLock, Timeout
 
 from uarm_rl import checks, columns, files, signals
 from uarm_rl.csvfile import Logbook
-from uarm_rl.files import CONFIG, POLICY, PROGRESS
+from uarm_rl.files import CONFIG, LOCK, POLICY, PROGRESS
 from uarm_rl.learn import checkpoint
 from uarm_rl.learn.learner import Counters, Learner
+from uarm_rl.learn.loggers import Write, numbers
 from uarm_rl.learn.train import Schedule, Stop, train
+from uarm_rl.progress import Bar, progress
 from uarm_rl.task.policy import Policy
-
-_LOCK: Final = ".lock"
 
 #: An actor with more of its outputs saturated than this has hardly any gradient left to learn from.
 SATURATION_LIMIT: Final = 0.9
-
-#: The bar shows a sign of life after so many seconds.
-SILENCE_S: Final = 5.0
 
 Settings = Mapping[str, Any]
 
@@ -60,7 +56,7 @@ def claim(
     """
     run_dir.mkdir(parents=True, exist_ok=True)
     with _locked(run_dir):
-        others = [path for path in run_dir.iterdir() if path.name != _LOCK]
+        others = [path for path in run_dir.iterdir() if path.name != LOCK]
         if others and overwrite:
             for path in others:
                 files.remove(path)
@@ -83,11 +79,11 @@ def claim(
 @contextmanager
 def _locked(run_dir: Path) -> Iterator[None]:
     """Hold the folder's lock. A link or a pipe in its place is refused."""
-    path = run_dir / _LOCK
+    path = run_dir / LOCK
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise RunFolderError(f"{path} is no plain file; remove it, or choose another name")
     try:
-        with FileLock(path, timeout=0):
+        with FileLock(path, timeout=0.5):  # `uarm-rl runs` may be looking, for a moment, whether it is held
             try:
                 yield
             finally:
@@ -131,12 +127,12 @@ def run(
     *,
     validate: Callable[[Policy], Iterator[bool]],
     value_range: tuple[float, float],
-    tensorboard: bool,
+    log: AbstractContextManager[Write],
 ) -> bool:
     """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop.
 
     ``validate`` tells of one position after the other whether the policy reaches it. ``value_range`` are the lowest and
-    highest return that the task allows: a critic outside it raises a warning.
+    highest return that the task allows: a critic outside it raises a warning. ``log`` is entered to take the rows too.
     """
     counters = learner.counters
     saved = checkpoint.read_latest(run_dir)
@@ -146,11 +142,11 @@ def run(
     snapshot, episode = learner.snapshot(), counters.episode
     on_disk = episode if saved else -1
     with ExitStack() as stack:
-        log = Logbook(run_dir / PROGRESS, columns.PROGRESS, keep_rows=counters.episode)
-        stack.callback(log.close)
-        write_scalars = stack.enter_context(_tensorboard(run_dir)) if tensorboard else None
+        logbook = Logbook(run_dir / PROGRESS, columns.PROGRESS, keep_rows=counters.episode)
+        stack.callback(logbook.close)
+        write = stack.enter_context(log)
         bar = stack.enter_context(progress_bar(run_dir, schedule, counters))
-        stop = stack.enter_context(stop_on_signals(bar.write))
+        stop = stack.enter_context(stop_on_signals(bar.say))
 
         def end_of_episode(row: dict[str, object]) -> None:
             nonlocal snapshot, episode, on_disk
@@ -161,9 +157,8 @@ def run(
                     return
                 row["validation_success_rate"] = float(np.mean(reached))
             row["warning"] = warning(row, value_range)
-            log.add(row)
-            if write_scalars:
-                write_scalars(row)
+            logbook.add(row)
+            write(numbers(row), counters.experiences)
             bar.show(row)
             snapshot, episode = learner.snapshot(), counters.episode
             if last or episode % schedule.checkpoint_every == 0:
@@ -194,30 +189,26 @@ def warning(row: Mapping[str, object], value_range: tuple[float, float]) -> str:
 
 
 class _Bar:
-    """The progress bar: episode, success rate, admission rate, decisions per second, time left."""
+    """What the bar says of an episode: success rate, admission rate, decisions per second, a warning."""
 
-    def __init__(self, bar: Any, counters: Counters) -> None:
+    def __init__(self, bar: Bar, counters: Counters) -> None:
         self._bar = bar
         self._before = (counters.decisions, counters.wall_s)
         self._validation = "-"
         self._warning = ""
         self._counters = counters
 
-    def write(self, text: str) -> None:
-        self._bar.write(text, file=sys.stderr)
-
     def tick(self) -> None:
-        """Show that time passes where an episode takes long, as with large batches."""
-        now = time.time()
-        if not self._bar.disable and now - self._bar.last_print_t >= SILENCE_S:
-            self._bar.last_print_t = now
-            self._bar.refresh()
+        self._bar.tick()
+
+    def say(self, text: str) -> None:
+        self._bar.say(text)
 
     def show(self, row: dict[str, object]) -> None:
         if "validation_success_rate" in row:
             self._validation = f"{row['validation_success_rate']:.0%}"
         if row["warning"] and not self._warning:
-            self.write(f"warning: episode {row['episode']}: {row['warning']}")
+            self.say(f"warning: episode {row['episode']}: {row['warning']}")
         self._warning = str(row["warning"])
         decisions, wall_s = self._before
         rate = (self._counters.decisions - decisions) / max(1e-9, self._counters.wall_s - wall_s)
@@ -232,18 +223,8 @@ class _Bar:
 @contextmanager
 def progress_bar(run_dir: Path, schedule: Schedule, counters: Counters) -> Iterator[_Bar]:
     """A bar for a run in its folder; ``show`` it each episode's row."""
-    from tqdm import tqdm
-
-    with tqdm(
-        total=schedule.episodes,
-        initial=counters.episode,
-        desc=f"{run_dir.parent.name}/{run_dir.name}",  # several may run side by side
-        unit="episode",
-        position=_line(),
-        dynamic_ncols=True,
-        mininterval=0.5,
-        smoothing=0.1,
-    ) as bar:
+    label = f"{run_dir.parent.name}/{run_dir.name}"  # several may run side by side
+    with progress(schedule.episodes, "episode", label, done=counters.episode, line=_line()) as bar:
         yield _Bar(bar, counters)
 
 
@@ -251,19 +232,3 @@ def _line() -> int | None:
     """The line of the terminal that a bar takes: beside each other, the processes of a launcher have one each."""
     number = re.search(r"-(\d+)$", multiprocessing.current_process().name)
     return int(number[1]) - 1 if number and sys.stderr.isatty() else None
-
-
-@contextmanager
-def _tensorboard(run_dir: Path) -> Iterator[Callable[[dict[str, object]], None]]:
-    from torch.utils.tensorboard import SummaryWriter
-
-    if (run_dir / "tensorboard").is_symlink():
-        raise RunFolderError(f"{run_dir / 'tensorboard'} is a link; remove it, or leave tensorboard=true out")
-    with SummaryWriter(run_dir / "tensorboard") as writer:
-
-        def write(row: dict[str, object]) -> None:
-            for name, value in row.items():
-                if isinstance(value, (int, float)):
-                    writer.add_scalar(name, value, row["experiences"])
-
-        yield write

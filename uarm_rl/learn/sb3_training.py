@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +28,7 @@ from uarm_rl.csvfile import Logbook
 from uarm_rl.files import POLICY, PROGRESS
 from uarm_rl.learn.ddpg import DivergenceError
 from uarm_rl.learn.learner import Counters
+from uarm_rl.learn.loggers import Write, numbers
 from uarm_rl.learn.run import progress_bar, stop_on_signals
 from uarm_rl.learn.sb3 import Hindsight, SoftActorCritic, TwinDelayed, from_sb3
 from uarm_rl.learn.train import Schedule, Stop
@@ -143,26 +144,29 @@ def run(
     capacity: int,
     card: PolicyCard,
     validate: Callable[[ActorPolicy], Iterator[bool]],
+    log: AbstractContextManager[Write],
 ) -> bool:
     """Train in ``run_dir``, from the beginning. True when finished, false when told to stop.
 
-    ``validate`` tells of one position after the other whether the policy reaches it. Raises :class:`DivergenceError` when a
-    number is no longer finite.
+    ``validate`` tells of one position after the other whether the policy reaches it; ``log`` is entered to take the rows too.
+    Raises :class:`DivergenceError` when a number is no longer finite.
     """
     episodes = TrainingEpisodes(env, schedule.experiences_per_episode)
     model = agent.model(episodes, schedule, seed=seed, capacity=capacity, tolerance_m=card.tolerance_m)
     counters = Counters()
     with ExitStack() as stack:
-        log = Logbook(run_dir / PROGRESS, columns.PROGRESS)
-        stack.callback(log.close)
+        logbook = Logbook(run_dir / PROGRESS, columns.PROGRESS)
+        stack.callback(logbook.close)
+        write = stack.enter_context(log)
         bar = stack.enter_context(progress_bar(run_dir, schedule, counters))
-        stop = stack.enter_context(stop_on_signals(bar.write))
+        stop = stack.enter_context(stop_on_signals(bar.say))
 
         def end_of_episode(row: dict[str, object]) -> None:
             if counters.episode == schedule.episodes or counters.episode % schedule.validate_every == 0:
                 reached = [one for one in validate(from_sb3(model, card)) if not stop.requested]
                 row["validation_success_rate"] = float(np.mean(reached)) if reached else 0.0
-            log.add(row)
+            logbook.add(row)
+            write(numbers(row), counters.experiences)
             bar.show(row)
 
         hears = _Log(episodes, schedule, counters, stop)

@@ -13,5 +13,7 @@ Read ``report.py`` first: it assembles all of it. ``records.py`` reads and check
 - ``ablations.py``: the shorter runs that say why it works
 - ``arm_trials.py``: trials on an arm
 
+``inventory.py`` is no section: it lists the runs that a folder holds, for ``uarm-rl runs``.
+
 Uses ``task`` alone; the only owner of pandas and Matplotlib.
 """

@@ -1,0 +1,91 @@
+"""A policy as an ONNX model, node by node: the exporter of a framework would need the framework, and knows no units."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import Any, Final
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from uarm_rl.task import kinematics, observation
+from uarm_rl.task.policy import ActorPolicy
+
+#: Old enough for the runtimes that are about (ONNX 1.12, 2022).
+_OPSET: Final = 17
+_IR_VERSION: Final = 8
+
+#: The key of a model's metadata under which ``description`` stands, as JSON.
+METADATA: Final = "uarm-rl"
+
+
+def description(policy: ActorPolicy) -> dict[str, Any]:
+    """What goes into the model, what comes out, with names and units, and the policy's card: how it is to be run."""
+    numbers = [{"name": name, "unit": _unit(name)} for name in observation.NAMES]
+    low, high = kinematics.JOINT_LIMITS_RAD.T.tolist()
+    joints = [
+        {"name": f"joint{number}", "low_rad": least, "high_rad": most}
+        for number, (least, most) in enumerate(zip(low, high, strict=True), 1)
+    ]
+    return {
+        "input": {"name": "observation", "type": "float32", "shape": ["batch", observation.SIZE], "numbers": numbers},
+        "output": {
+            "name": "action",
+            "type": "float32",
+            "shape": ["batch", len(joints)],
+            "range": [-1.0, 1.0],
+            "meaning": "a joint's reference is its angle now plus max_delta_rad times its action, cut at the joint's limits",
+            "numbers": joints,
+        },
+        "frame": "base of the arm: x ahead, y to the left, z up; metres and radians",
+        "policy": asdict(policy.card),
+    }
+
+
+def _unit(name: str) -> str:
+    return next((unit for unit in ("m", "rad") if name.endswith(f"_{unit}")), "0 or 1")
+
+
+def onnx_model(policy: ActorPolicy, *, precision: str = "float64") -> bytes:
+    """The model: ``observation``, shape (batch, 20), to ``action``, shape (batch, 3), both float32; scaling included.
+
+    It computes in float64, as the policy itself does, or in float32, for a runtime that has nothing else: sums of several
+    hundred products then differ in the sixth decimal of an action. The weights are stored as the float32 numbers they are.
+    """
+    number_type = {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE}[precision]
+    constants, nodes = [], []
+
+    def node(operator: str, *inputs: str, output: str, **attributes: Any) -> str:
+        nodes.append(helper.make_node(operator, inputs, [output], **attributes))
+        return output
+
+    def exact(name: str) -> str:
+        return name if precision == "float32" else node("Cast", name, output=f"{name}_{precision}", to=number_type)
+
+    def constant(name: str, values: Any) -> str:
+        constants.append(numpy_helper.from_array(np.ascontiguousarray(values, np.float32), name))
+        return exact(name)
+
+    x = node("Sub", exact("observation"), constant("offset", policy.offset), output="centred")
+    x = node("Div", x, constant("scale", policy.scale), output="scaled")
+    for number, (weight, bias) in enumerate(policy.layers):
+        if number:
+            x = node("Relu", x, output=f"hidden{number}")
+        weights = constant(f"weight{number}", weight), constant(f"bias{number}", bias)
+        x = node("Gemm", x, *weights, output=f"sum{number}")
+    node("Cast", node("Tanh", x, output="squashed"), output="action", to=TensorProto.FLOAT)
+    graph = helper.make_graph(
+        nodes,
+        "uarm-rl policy",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", observation.SIZE])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", kinematics.JOINT_LIMITS_RAD.shape[0]])],
+        constants,
+    )
+    opset = [helper.make_opsetid("", _OPSET)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=_IR_VERSION, producer_name="uarm-rl")
+    helper.set_model_props(model, {METADATA: json.dumps(description(policy), sort_keys=True)})
+    onnx.checker.check_model(model)
+    content: bytes = model.SerializeToString(deterministic=True)
+    return content
