@@ -16,7 +16,7 @@ Curve = list[tuple[int, float]]
 
 
 def train(folder: Path, logger: str, *words: str) -> Path:
-    done = uarm_rl("train", *FAST, f"logger={logger}", "simulate_beside=false", *words, cwd=folder)
+    done = uarm_rl("train", *FAST, f"logger={logger}", "simulate_beside=false", *words, cwd=folder, timeout_s=400)
     assert done.returncode == 0, done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()] == [f"{RUN}:", "trained:"]
     return folder / RUN
