@@ -34,7 +34,18 @@ Settings = dict[str, Any]
 
 #: Configuration group -> its classes by name. Texts, so that a command imports only what it uses.
 OPEN_SETS: Final = {
-    "hold": {"fixed": "uarm_rl.task.hold:FixedHold", "until_steady": "uarm_rl.task.hold:UntilSteady"},
+    "hold": {
+        "fixed": "uarm_rl.task.hold:FixedHold",
+        "until_steady": "uarm_rl.task.hold:UntilSteady",
+        "learned": "uarm_rl.task.hold:LearnedHold",
+    },
+    "observation": {
+        "paper": "uarm_rl.task.observation:PaperObservation",
+        "velocity": "uarm_rl.task.observation:VelocityObservation",
+        "last_action": "uarm_rl.task.observation:LastActionObservation",
+        "reference": "uarm_rl.task.observation:ReferenceObservation",
+        "stack": "uarm_rl.task.observation:StackedObservation",
+    },
     "admission": {
         "all": "uarm_rl.learn.admission:AdmitAll",
         "not_stuck": "uarm_rl.learn.admission:NotStuck",
@@ -126,6 +137,15 @@ def build_env(
         raise UsageError(
             "admission=every_step needs servo=second_order: others begin a move anew when they are commanded again"
         )
+    if keep_within and (
+        settings["actions"] != "joint"
+        or settings["buffer"]["hold"]["name"] == "learned"
+        or settings["observation"]["name"] in ("last_action", "stack")
+    ):
+        raise UsageError(
+            "admission=every_step needs actions=joint, another hold than learned, and an observation that hangs on the present "
+            "alone: paper, velocity or reference"
+        )
     sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
     servo, cup = build("servo", settings["servo"]), build("cup", settings["cup"])
     arm: SimulatedArm = build("sim", sim, servo=servo, cup=cup, control_hz=settings["control_hz"])
@@ -142,6 +162,8 @@ def build_env(
         object_height_m=sim["object_size_m"],
         ghost_share=settings["ghost_share"],
         keep_within=keep_within,
+        observation=build("observation", settings["observation"]),
+        actions=settings["actions"],
         render_mode=render_mode,
         render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size),
@@ -306,7 +328,9 @@ def policy_card(settings: Settings) -> PolicyCard:
 
     return PolicyCard(
         **{
-            key: settings[key] for key in ("max_delta_rad", "control_hz", "servo", "tolerance_m", "dwell_s", "episodes", "seed")
+            key: settings[key]
+            for key in ("max_delta_rad", "control_hz", "servo", "tolerance_m", "dwell_s", "episodes", "seed")
+            + ("observation", "actions")
         },
         hold=settings["buffer"]["hold"],
         buffer=settings["buffer"]["name"],
@@ -386,13 +410,21 @@ def _merged(defaults: Settings, settings: Settings) -> Settings:
 
 
 def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
-    """The policy of a run, or with the name ``ik`` the controller. Raises :class:`UsageError` if there is none."""
+    """The policy of a run, or with the name ``ik`` the controller. Raises :class:`UsageError` if there is none that fits."""
     from uarm_rl.task.policy import ActorPolicy, InverseKinematicsPolicy
 
     if name == "ik":
+        if settings["actions"] != "joint" or settings["buffer"]["hold"]["name"] == "learned":
+            raise UsageError(
+                "policy=ik moves relative to the current joints and leaves the hold alone; this run has other actions"
+            )
         return InverseKinematicsPolicy(settings["max_delta_rad"])
     if name is not None:
         raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give policy=ik")
     if not (run_dir / POLICY).exists():
         raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
-    return ActorPolicy.load(run_dir / POLICY)
+    policy = ActorPolicy.load(run_dir / POLICY)
+    own = {"observation": policy.card.observation, "actions": policy.card.actions}
+    if changed := checks.differences({key: settings[key] for key in own}, own):
+        raise UsageError(f"{run_dir / POLICY} is not of this run: the run has {', '.join(changed)}")
+    return policy

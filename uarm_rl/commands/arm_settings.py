@@ -90,6 +90,8 @@ def task_of(card: PolicyCard, settings: Settings) -> Task:
         **{key: getattr(card, key) for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
         **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
         object_size_m=object_size(settings["object_size_m"]),
+        observation=build("observation", card.observation),
+        actions=card.actions,
     )
 
 
@@ -115,6 +117,8 @@ def check_policy(card: PolicyCard, max_step_rad: float) -> list[str]:
         raise PolicyFileError(
             f"the policy's action scale does not fit the arm: {error} (limits.max_step_rad); take a policy of another scale"
         ) from None
+    if beyond := _beyond_the_arm(card):
+        raise PolicyFileError(f"{beyond}; take a policy that does without")
     warnings = []
     servo = card.servo["name"]
     if servo != "stepper":
@@ -125,3 +129,20 @@ def check_policy(card: PolicyCard, max_step_rad: float) -> list[str]:
     if card.hold["name"] != "until_steady":
         warnings.append("the policy was not trained to wait until the arm is steady; on this arm every decision does")
     return warnings
+
+
+def _beyond_the_arm(card: PolicyCard) -> str:
+    """What a policy needs and the arm lacks, in words; empty if it lacks nothing.
+
+    The last action and the pending reference are the computer's own commands, and a stack is made of looks that there are.
+    """
+    if card.observation["name"] == "velocity":
+        return (
+            "the policy sees the velocity of the joints (observation=velocity), which this arm does not tell, "
+            "its encoders are read when it stands still"
+        )
+    if card.hold["name"] == "learned":
+        return "the policy says how long a command acts (hold=learned), and this arm carries every move out to its end"
+    if card.actions == "absolute":
+        return "the policy asks for any place in one move (actions=absolute), and this arm goes limits.max_step_rad at most"
+    return ""

@@ -31,7 +31,7 @@ from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.loggers import Logger
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule
-from uarm_rl.task import observation, positions
+from uarm_rl.task import positions
 from uarm_rl.task.env import ACTION_SIZE
 
 #: Settings that say how a run is carried out, not what comes of it; they are not kept with it.
@@ -106,6 +106,8 @@ def _library(settings: Settings, schedule: Schedule, stack: ExitStack) -> Callab
     name = settings["agent"]["name"]
     if not find_spec("stable_baselines3"):
         raise UsageError(f"agent={name} needs an extra; {checks.how_to_add('sb3')}")
+    if settings["observation"]["name"] != "paper" or settings["buffer"]["hold"]["name"] == "learned":
+        raise UsageError(f"agent={name} learns with observation=paper and without hold=learned; take agent=ddpg for the others")
     from uarm_rl.learn import sb3_training
 
     sb3_training.check_settings(settings["buffer"], name)
@@ -129,19 +131,21 @@ def _learner(settings: Settings) -> Learner:
     seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
     env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
     networks = torch.Generator().manual_seed(network_seed)
-    agent = build("agent", settings["agent"], action_size=ACTION_SIZE, generator=networks)
+    observation = build("observation", settings["observation"])
+    action_size = ACTION_SIZE + build("hold", settings["buffer"]["hold"]).choices
+    agent = build("agent", settings["agent"], action_size=action_size, generator=networks, observation=observation)
     admission = build("admission", settings["buffer"]["admission"])
     make_env = partial(build_env, settings, time_limit_s=None, render_mode=_watched(settings), keep_within=admission.within)
     env_class = SubprocessEnv if settings["simulate_beside"] else InlineEnv
     return Learner(
         replay=ReplayBuffer(
             settings["buffer"]["capacity"],
-            observation_size=observation.SIZE,
-            action_size=ACTION_SIZE,
+            observation_size=observation.size,
+            action_size=action_size,
             generator=np.random.default_rng(seeds[2]),
             sampling=build("sampling", settings["buffer"]["sampling"]),
         ),
-        noise=build("noise", settings["noise"], action_size=ACTION_SIZE, generator=np.random.default_rng(seeds[3])),
+        noise=build("noise", settings["noise"], action_size=action_size, generator=np.random.default_rng(seeds[3])),
         admission=admission,
         agent=agent,
         policy=agent.policy(policy_card(settings)),

@@ -18,8 +18,8 @@ from uarm_rl import checks
 from uarm_rl.learn.network import Network
 from uarm_rl.learn.replay import Batch
 from uarm_rl.learn.returns import Returns
-from uarm_rl.task import observation
-from uarm_rl.task.policy import ActorPolicy, PolicyCard, scale
+from uarm_rl.task.observation import PaperObservation
+from uarm_rl.task.policy import ActorPolicy, PolicyCard
 
 #: An output of the actor beyond this counts as saturated: the slope of its tanh is below 0.02.
 _SATURATED: Final = 0.99
@@ -36,8 +36,9 @@ def _forms(tensors: dict[str, Tensor]) -> dict[str, tuple[torch.Size, torch.dtyp
 class DDPG:
     """Actor, critic and their targets. Knows nothing of buffers, noise or logs.
 
-    ``generator`` draws the initial parameters; after that an update is a pure function of its batch. ``returns`` makes the
-    transitions that it is to learn from; ``errors``, shape (n, 1), are the temporal differences of the last update.
+    ``observation`` says what is seen, the paper's 20 numbers if left out, and how it is scaled. ``generator`` draws the initial
+    parameters; after that an update is a pure function of its batch. ``returns`` makes the transitions that it is to learn
+    from; ``errors``, shape (n, 1), are the temporal differences of the last update.
     """
 
     def __init__(
@@ -53,14 +54,16 @@ class DDPG:
         final_layer_init: float,
         action_size: int,
         generator: torch.Generator,
+        observation: PaperObservation | None = None,
     ) -> None:
+        self.observation = observation or PaperObservation()
         hidden = checks.integers("agent.hidden", hidden, low=1, high=10_000)
         self.errors = np.empty((0, 1), np.float32)
         self.returns = Returns(gamma=gamma, gamma_per=gamma_per, n_steps=n_steps)
         self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
-        actor_sizes = [observation.SIZE, *hidden, action_size]
-        critic_sizes = [observation.SIZE + action_size, *hidden, 1]
+        actor_sizes = [self.observation.size, *hidden, action_size]
+        critic_sizes = [self.observation.size + action_size, *hidden, 1]
         split = Network.size(actor_sizes)
         self.parameters = torch.empty(split + Network.size(critic_sizes))
         self._gradient = torch.zeros_like(self.parameters)
@@ -94,7 +97,7 @@ class DDPG:
     def policy(self, card: PolicyCard) -> ActorPolicy:
         """The actor as a policy that follows every later update (its weights are views of this agent's)."""
         layers = [(weight.numpy(), bias.numpy()) for weight, bias in self.actor.layers]
-        return ActorPolicy(layers, offset=observation.OFFSET, scale=observation.SCALE, card=card)
+        return ActorPolicy(layers, offset=self.observation.offset, scale=self.observation.scale, card=card)
 
     def update(self, batch: Batch) -> dict[str, float]:
         """One gradient step of critic and actor, one soft step of the targets.
@@ -114,7 +117,8 @@ class DDPG:
             torch.set_flush_denormal(False)
 
     def _update(self, batch: Batch) -> dict[str, float]:
-        observations, next_observations = scale(batch.observation), scale(batch.next_observation)
+        offset, scale = self.observation.offset, self.observation.scale
+        observations, next_observations = ((raw - offset) / scale for raw in (batch.observation, batch.next_observation))
         both = torch.from_numpy(np.concatenate((observations, batch.action), axis=1))
         reward, discount = torch.from_numpy(batch.reward), torch.from_numpy(batch.discount)
         size = len(reward)
@@ -133,7 +137,7 @@ class DDPG:
         x = torch.from_numpy(observations)
         action = self.actor.forward(x).tanh_()
         q = self.critic.forward(torch.cat((x, action), 1))
-        into_action = self.critic.input_gradient(torch.full((size, 1), -1.0 / size), observation.SIZE)
+        into_action = self.critic.input_gradient(torch.full((size, 1), -1.0 / size), self.observation.size)
         self.actor.backward(into_action * (1.0 - action * action))
         self._optimizers["actor"].step()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -22,6 +22,7 @@ from uarm_rl.task.arm import Ghost
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.hold import Hold
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.observation import PaperObservation
 from uarm_rl.task.policy import Policy
 from uarm_rl.task.reward import DistanceReward
 from uarm_rl.task.rollout import run_episode
@@ -102,6 +103,8 @@ class Task:
     press_m: float
     max_press_m: float
     object_size_m: tuple[float, float, float]
+    observation: PaperObservation = field(default_factory=PaperObservation)
+    actions: str = "joint"
 
     def __post_init__(self) -> None:
         checks.number("press_m", self.press_m, low=0.0, high=0.01)
@@ -124,6 +127,8 @@ class Task:
             tolerance_m=self.tolerance_m,
             dwell_s=self.dwell_s,
             time_limit_s=self.time_limit_s,
+            observation=self.observation,
+            actions=self.actions,
             object_height_m=positions.OBJECT_HEIGHT_M,  # of objects that it places itself, here none
         )
 

@@ -14,11 +14,14 @@ from uarm_rl import checks, columns
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import Arm, ArmError, Ghost, JointPositions, PhysicsError, Target
 from uarm_rl.task.hold import Hold
-from uarm_rl.task.observation import SIZE, Observation, observe
+from uarm_rl.task.observation import Look, Observation, PaperObservation
 from uarm_rl.task.reward import DistanceReward, RewardTerms
 from uarm_rl.task.within import Moment, Within, decisions_within
 
 ACTION_SIZE: Final = 3
+
+#: What an action of the joints is relative to.
+ACTIONS: Final = ("joint", "reference", "absolute")
 
 _LONGEST_S: Final = 3600.0
 
@@ -29,9 +32,11 @@ _CLEARANCE_M: Final = 0.06
 class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """Bring the suction cup to the centre of the object's upper surface and keep it there.
 
-    *Observation*: 20 numbers, see ``observation``. *Action*: 3 numbers in [-1, 1], times ``max_delta_rad`` the
-    difference between reference and current position of joint1..joint3; references are cut at the joint limits.
-    *Step*: the reference acts until ``hold`` releases it. *Reward*: ``reward``, equation (4) of the paper.
+    *Observation*: 20 numbers or more, see ``observation``. *Action*: 3 numbers in [-1, 1], times ``max_delta_rad`` the
+    difference between reference and current position of joint1..joint3; with ``actions="reference"`` that between reference
+    and last reference, with ``"absolute"`` -1 and 1 are each joint's own limits. References are cut at the joint limits. A
+    hold that is learned takes a fourth number. *Step*: the reference acts until ``hold`` releases it. *Reward*: ``reward``,
+    equation (4) of the paper.
 
     ``terminated``: success, the cup stayed within ``tolerance_m`` of the target for ``dwell_s`` without a break (the
     flag). ``truncated``: ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach,
@@ -74,6 +79,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         object_height_m: float,
         ghost_share: float = 0.0,
         keep_within: bool = False,
+        observation: PaperObservation | None = None,
+        actions: str = "joint",
         render_mode: str | None = None,
         render_modes: Sequence[str] = (),
         take_picture: Callable[[], NDArray[np.uint8]] | None = None,
@@ -86,6 +93,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.render_mode = render_mode
         self._reward = reward
         self._hold = hold
+        self._control_hz = control_hz
+        self._observation = observation or PaperObservation()
+        self._actions = checks.one_of("actions", actions, ACTIONS)
         self._max_delta_rad = checks.number("max_delta_rad", max_delta_rad, low=0.0, high=math.pi, open_low=True)
         self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
         self._dwell_steps = dwell_steps(dwell_s, control_hz)
@@ -102,8 +112,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._pictures: list[NDArray[np.uint8]] = []
         self._trace: list[NDArray[np.float64]] = []
         self._begun = False
-        self.observation_space = gymnasium.spaces.Box(-2.0 * math.pi, 2.0 * math.pi, (SIZE,), np.float32)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
+        self.observation_space = gymnasium.spaces.Box(-2.0 * math.pi, 2.0 * math.pi, (self._observation.size,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION_SIZE + hold.choices,), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         super().reset(seed=seed)
@@ -115,6 +125,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self.target = self._ghost if self._is_ghost(options.get("ghost")) else self._solid
         self._joints = self.arm.read_joints()
         self._link_ends = kinematics.forward(self._joints)
+        if options.get("home", True) or self.arm.at_rest:  # else the arm is still doing what it was told before
+            self._reference = self._before = self._joints
+            self._passed, self._last_action = 1, np.zeros(ACTION_SIZE + self._hold.choices)
+        self._observation.begin()
         self._object = self._place(options.get("object_position"))
         self._dwelt_steps = 0
         self._elapsed_steps = 0
@@ -151,6 +165,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise gymnasium.error.ResetNeeded("step needs a reset before it, in a copy too")
         start_joints, start_cup, start_object = self._joints, self._link_ends[3].tolist(), self._object
         clipped = self._command(action)
+        hold = self._hold.chosen(self._last_action[ACTION_SIZE:].tolist())
         self._trace, self._moments, control_steps = [], [], 0
         self._press_m = self._contact_n = 0.0
         lost = timed_out = released = exploded = False
@@ -161,12 +176,13 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             except PhysicsError:
                 exploded = True
                 break
+            self._before, self._passed = last, passed
             lost = not self._sense(passed)
             control_steps += passed
             self._trace.append(self.state())
             timed_out = self._elapsed_steps >= self._step_limit
             travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
-            released = self._hold.releases(control_steps, travel_rad)
+            released = hold.releases(control_steps, travel_rad)
             if self._keep_within:
                 self._moments.append(self._moment(travel_rad, control_steps))
             if self.render_mode == "rgb_array_list":
@@ -236,16 +252,26 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _command(self, action: NDArray[np.float32]) -> bool:
         """Command the joints; true if the reference had to be cut at a limit."""
-        delta = np.asarray(action, np.float64)
-        if delta.shape != (ACTION_SIZE,) or not np.all(np.abs(delta) <= 1.0):  # NaN compares false
-            raise ValueError(f"an action is {ACTION_SIZE} finite numbers in [-1, 1], got {action!r}")
-        d1, d2, d3 = (self._max_delta_rad * delta).tolist()
-        j1, j2, j3 = self._joints
-        wanted = j1 + d1, j2 + d2, j3 + d3
-        self._reference = reference = kinematics.clip_to_limits(*wanted)
+        given = np.asarray(action, np.float64)
+        if given.shape != self.action_space.shape or not np.all(np.abs(given) <= 1.0):  # NaN compares false
+            size = ACTION_SIZE + self._hold.choices
+            raise ValueError(f"an action is {size} finite numbers in [-1, 1], got {action!r}")
+        wanted = self._wanted(given[:ACTION_SIZE])
+        reference = kinematics.clip_to_limits(*wanted)
+        self._last_action, self._reference = given, reference
         self._reference_press_m = self._depth_m(kinematics.forward(reference)[3].tolist())
         self.arm.command_joints(reference)
         return reference != wanted
+
+    def _wanted(self, action: NDArray[np.float64]) -> JointPositions:
+        """The reference that an action of the joints asks for, before it is cut."""
+        if self._actions == "absolute":
+            low, high = kinematics.JOINT_LIMITS_RAD.T
+            one, two, three = ((low + high) / 2.0 + (high - low) / 2.0 * action).tolist()
+            return one, two, three
+        d1, d2, d3 = (self._max_delta_rad * action).tolist()
+        j1, j2, j3 = self._joints if self._actions == "joint" else self._reference
+        return j1 + d1, j2 + d2, j3 + d3
 
     def _sense(self, passed: int) -> bool:
         """Read arm and object after ``passed`` control steps; false if the object is out of reach."""
@@ -278,7 +304,11 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return math.dist(self._link_ends[3].tolist(), self._object)
 
     def _observe(self) -> Observation:
-        return observe(self._joints, self._link_ends, self._object, self._flag)
+        per_s = self._control_hz / self._passed
+        velocity = [per_s * (now - before) for now, before in zip(self._joints, self._before, strict=True)]
+        return self._observation.see(
+            Look(self._joints, self._link_ends, self._object, self._flag, velocity, self._reference, self._last_action.tolist())
+        )
 
     def _picture(self) -> NDArray[np.uint8]:
         if self._take_picture is None:

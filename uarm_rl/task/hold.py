@@ -7,8 +7,9 @@ adaptive update when the arm has reached a steady state (section 3.3).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import ClassVar, Final, Protocol
 
 from uarm_rl import checks
 
@@ -18,6 +19,15 @@ _USUAL: Final = 13
 
 class Hold(Protocol):
     """A rule for how long a command acts."""
+
+    @property
+    def choices(self) -> int:
+        """How many numbers of the action, behind the joints', say how long it acts."""
+        ...
+
+    def chosen(self, numbers: Sequence[float]) -> Hold:
+        """The rule for a decision whose action has these numbers, each in [-1, 1], behind the joints'."""
+        ...
 
     @property
     def usual_control_steps(self) -> int:
@@ -38,6 +48,7 @@ class FixedHold:
     """Release after a fixed number of control steps; 1 is the paper's uniform update."""
 
     control_steps: int
+    choices: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
         checks.integer("hold.control_steps", self.control_steps, low=1)
@@ -45,6 +56,9 @@ class FixedHold:
     @property
     def usual_control_steps(self) -> int:
         return self.control_steps
+
+    def chosen(self, numbers: Sequence[float]) -> Hold:
+        return self
 
     def releases(self, control_steps: int, travel_rad: float) -> bool:
         return control_steps >= self.control_steps
@@ -64,6 +78,7 @@ class UntilSteady:
     steady_threshold_rad: float
     min_control_steps: int
     max_control_steps: int
+    choices: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
         checks.number("hold.steady_threshold_rad", self.steady_threshold_rad, low=0.0, open_low=True)
@@ -74,6 +89,9 @@ class UntilSteady:
     def usual_control_steps(self) -> int:
         return min(max(_USUAL, self.min_control_steps), self.max_control_steps)
 
+    def chosen(self, numbers: Sequence[float]) -> Hold:
+        return self
+
     def releases(self, control_steps: int, travel_rad: float) -> bool:
         if control_steps < self.min_control_steps:
             return False
@@ -81,3 +99,34 @@ class UntilSteady:
 
     def __str__(self) -> str:
         return f"until_steady({self.min_control_steps}..{self.max_control_steps}, {self.steady_threshold_rad:g} rad)"
+
+
+@dataclass(frozen=True)
+class LearnedHold:
+    """The agent says how long: one number of the action, from -1 for 1 control step to 1 for ``max_control_steps``.
+
+    What the literature has in the place of the paper's rule: a repeat count beside the action (Sharma et al. 2017, FiGAR), a
+    skip that is learned for an action that is chosen (Biedenkapp et al. 2021, TempoRL), a continuous duration, as here (Karimi
+    et al. 2023, CTCO; Wang and Beltrame 2024, MOSEAC), repeating while the state stays in a region (Park et al. 2021, SAR).
+    """
+
+    max_control_steps: int
+    choices: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        checks.integer("hold.max_control_steps", self.max_control_steps, low=2)
+
+    @property
+    def usual_control_steps(self) -> int:
+        return (1 + self.max_control_steps) // 2
+
+    def chosen(self, numbers: Sequence[float]) -> FixedHold:
+        (number,) = numbers
+        return FixedHold(1 + round((self.max_control_steps - 1) * (number + 1.0) / 2.0))
+
+    def releases(self, control_steps: int, travel_rad: float) -> bool:
+        """The longest that may be chosen; a decision's own rule is ``chosen``."""
+        return control_steps >= self.max_control_steps
+
+    def __str__(self) -> str:
+        return f"learned(1..{self.max_control_steps})"

@@ -1,13 +1,20 @@
-"""The 20 numbers that the policy sees (section 3.2 of the paper; the reading of it is argued in the README)."""
+"""What the policy sees: the paper's 20 numbers (section 3.2; the reading of it is argued in the README), or more than these.
+
+The paper's lack what the arm is still doing: its velocity, and the reference that it has not reached yet. The other kinds add
+one of these, or what they can be told from.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uarm_rl import checks
 from uarm_rl.task import kinematics
 
 Observation = NDArray[np.float32]
@@ -59,3 +66,113 @@ def observe(
         flag,
     )
     return observation
+
+
+@dataclass(frozen=True)
+class Look:
+    """What there is to be seen at the end of a decision, or after a reset; metres and radians, base frame."""
+
+    joints_rad: Sequence[float]
+    link_ends_m: NDArray[np.float64]
+    object_m: Sequence[float]
+    flag: bool
+    velocity_rad_s: Sequence[float]  # of joint1..joint3, over the last control step
+    reference_rad: Sequence[float]  # what joint1..joint3 were last commanded
+    last_action: Sequence[float]  # in [-1, 1]; zeros while there was none
+
+
+class PaperObservation:
+    """The paper's 20 numbers. Further kinds put theirs behind them; ``scale`` brings them to about unit range."""
+
+    further: tuple[str, ...] = ()
+    further_scale = 1.0
+
+    def __init__(self) -> None:
+        self.names: tuple[str, ...] = (*NAMES, *self.further)
+        self.offset = np.concatenate((OFFSET, np.zeros(len(self.further), np.float32)))
+        self.scale = np.concatenate((SCALE, np.full(len(self.further), self.further_scale, np.float32)))
+
+    @property
+    def size(self) -> int:
+        """How many numbers."""
+        return len(self.names)
+
+    def begin(self) -> None:
+        """Forget what was seen before a reset."""
+
+    def see(self, look: Look) -> Observation:
+        """The observation, shape (size,), float32."""
+        seen = observe(look.joints_rad, look.link_ends_m, look.object_m, look.flag)
+        return np.concatenate((seen, np.array(self.rest(look), np.float32))) if self.further else seen
+
+    def rest(self, look: Look) -> Sequence[float]:
+        """The numbers behind the 20."""
+        return ()
+
+
+class VelocityObservation(PaperObservation):
+    """And the velocities of joint1..joint3 over the last control step."""
+
+    further = tuple(f"joint{number}_rad_s" for number in (1, 2, 3))
+    further_scale = 0.5  # about the fastest of a move of 0.15 rad with the servo of the published runs
+
+    def rest(self, look: Look) -> Sequence[float]:
+        return look.velocity_rad_s
+
+
+class LastActionObservation(PaperObservation):
+    """And the action before, as agents that act with a delay are given it (Ramstedt and Pal 2019, Real-Time RL)."""
+
+    further = tuple(f"last_action{number}" for number in (1, 2, 3))
+
+    def rest(self, look: Look) -> Sequence[float]:
+        return look.last_action[:3]
+
+
+class ReferenceObservation(PaperObservation):
+    """And how far joint1..joint3 still have to go to the reference that is pending."""
+
+    further = tuple(f"joint{number}_to_reference_rad" for number in (1, 2, 3))
+    further_scale = 0.15  # one action of the published runs
+
+    def rest(self, look: Look) -> Sequence[float]:
+        return [wanted - joint for wanted, joint in zip(look.reference_rad, look.joints_rad, strict=True)]
+
+
+class StackedObservation(PaperObservation):
+    """The 20 numbers of the last ``frames`` decisions, the newest first; after a reset that of the reset, again and again."""
+
+    def __init__(self, frames: int) -> None:
+        super().__init__()
+        self._frames: deque[Observation] = deque(maxlen=checks.integer("observation.frames", frames, low=1, high=100))
+        self.names = tuple(f"{name}{f'_{age}_ago' if age else ''}" for age in range(frames) for name in NAMES)
+        self.offset, self.scale = np.tile(OFFSET, frames), np.tile(SCALE, frames)
+
+    def begin(self) -> None:
+        self._frames.clear()
+
+    def see(self, look: Look) -> Observation:
+        self._frames.appendleft(super().see(look))
+        while len(self._frames) < (self._frames.maxlen or 1):
+            self._frames.append(self._frames[-1])
+        return np.concatenate(self._frames)
+
+
+#: Each kind by its name in a configuration and on a policy's card.
+KINDS: Final[Mapping[str, type[PaperObservation]]] = {
+    "paper": PaperObservation,
+    "velocity": VelocityObservation,
+    "last_action": LastActionObservation,
+    "reference": ReferenceObservation,
+    "stack": StackedObservation,
+}
+
+
+def kind(settings: Mapping[str, Any]) -> PaperObservation:
+    """The kind that a configuration or a policy's card names; :class:`ValueError` with a sentence if there is none such."""
+    arguments = checks.mapping("observation", settings)
+    name = checks.one_of("observation.name", arguments.pop("name", None), tuple(KINDS))
+    try:
+        return KINDS[name](**arguments)
+    except TypeError:
+        raise ValueError(f"observation={name} has no such keys: {', '.join(arguments) or 'frames is missing'}") from None

@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,21 +35,16 @@ class Policy(Protocol):
     """Whatever turns an observation into an action."""
 
     def act(self, observation: Array) -> Array:
-        """Greedy action, shape (3,), in [-1, 1], for one observation, shape (20,)."""
+        """Greedy action in [-1, 1] for one observation; shapes (3,) and (20,), unless the environment has others."""
         ...
-
-
-def scale(raw: Array) -> Array:
-    """Observations, shape (..., 20), brought to about unit range by the fixed scaling."""
-    scaled: Array = (raw - observation.OFFSET) / observation.SCALE
-    return scaled
 
 
 @dataclass(frozen=True)
 class PolicyCard:
     """What a policy file says of itself: how the policy is to be run, and how it was trained.
 
-    ``hold`` and ``servo`` are configuration groups, chosen by their ``name``; lengths in metres, angles in radians.
+    ``hold``, ``servo`` and ``observation`` are configuration groups, chosen by their ``name``; lengths in metres, angles in
+    radians. What is as it always was is not written, so that older versions read what they can run.
     """
 
     max_delta_rad: float
@@ -62,6 +57,8 @@ class PolicyCard:
     reward: str
     episodes: int
     seed: int
+    observation: dict[str, Any] = field(default_factory=lambda: {"name": "paper"})
+    actions: str = "joint"  # what they are relative to
 
     def __post_init__(self) -> None:
         checks.number("max_delta_rad", self.max_delta_rad, low=0.0, high=math.pi, open_low=True)
@@ -74,6 +71,27 @@ class PolicyCard:
             checks.text(name, getattr(self, name))
         for name in ("episodes", "seed"):
             checks.integer(name, getattr(self, name), low=0)
+        observation.kind(self.observation)
+        checks.text("actions", self.actions)
+
+    @property
+    def inputs(self) -> int:
+        """How many numbers the policy sees."""
+        return observation.kind(self.observation).size
+
+    @property
+    def outputs(self) -> int:
+        """How many numbers its actions have: a learned hold adds one to the joints' three."""
+        return 4 if self.hold["name"] == "learned" else 3
+
+    def written(self) -> dict[str, Any]:
+        """What is written into a file: all but what has its default."""
+        values = asdict(self)
+        for one in fields(self):
+            usual = one.default if one.default_factory is MISSING else one.default_factory()
+            if values[one.name] == usual:
+                del values[one.name]
+        return values
 
     @classmethod
     def read(cls, values: Mapping[str, Any]) -> PolicyCard:
@@ -83,9 +101,11 @@ class PolicyCard:
         wrote it, for a policy that this one may not run as meant.
         """
         given = checks.mapping("the card", values).keys()
-        if missing := [field.name for field in fields(cls) if field.default is MISSING and field.name not in given]:
+        if missing := [
+            one.name for one in fields(cls) if one.default is one.default_factory is MISSING and one.name not in given
+        ]:
             raise ValueError(f"its card lacks {missing[0]}")
-        if unknown := sorted(given - {field.name for field in fields(cls)}):
+        if unknown := sorted(given - {one.name for one in fields(cls)}):
             raise ValueError(f"its card has a key that this version does not know, {unknown[0]}")
         return cls(**values)
 
@@ -121,7 +141,7 @@ class ActorPolicy:
         for number, (weight, bias) in enumerate(self.layers):
             tensors[f"weight{number}"], tensors[f"bias{number}"] = weight, bias
         exact = {name: np.ascontiguousarray(tensor, np.float32) for name, tensor in tensors.items()}
-        files.replace(path, encode(exact, asdict(self.card)))
+        files.replace(path, encode(exact, self.card.written()))
 
     @classmethod
     def load(cls, path: Path) -> ActorPolicy:
@@ -142,11 +162,11 @@ class ActorPolicy:
             if isinstance(error, PolicyFileError):
                 raise
             raise PolicyFileError(f"{path} is truncated, damaged or no policy of uarm-rl; train it again") from None
-        _check(path, tensors)
         try:
             card = PolicyCard.read(sign["policy"])
         except ValueError as error:
             raise PolicyFileError(f"{path} cannot be run as it was trained: {error}; train it again") from None
+        _check(path, tensors, card)
         exact = {name: tensor.astype(np.float64) for name, tensor in tensors.items()}
         layers = [(exact[f"weight{number}"], exact[f"bias{number}"]) for number in range(len(tensors) // 2 - 1)]
         return cls(layers, offset=exact["offset"], scale=exact["scale"], card=card)
@@ -179,18 +199,19 @@ def _digest(data: bytes, card: Any) -> str:
     return hashlib.sha256(len(header).to_bytes(8, "little") + header + content + text).hexdigest()
 
 
-def _check(path: Path, tensors: Mapping[str, Array]) -> None:
-    """Raises :class:`PolicyFileError` unless the tensors are those of an actor for this arm."""
+def _check(path: Path, tensors: Mapping[str, Array], card: PolicyCard) -> None:
+    """Raises :class:`PolicyFileError` unless the tensors are those of an actor for this arm, as its card says."""
     count = len(tensors) // 2 - 1
     names = {"offset", "scale", *(f"{kind}{number}" for kind in ("weight", "bias") for number in range(count))}
-    widths = [observation.SIZE]
+    widths = [card.inputs]
     fits = names == tensors.keys() and count > 0
     for number in range(count) if fits else ():
         weight, bias = tensors[f"weight{number}"], tensors[f"bias{number}"]
         widths.append(weight.shape[-1] if weight.ndim == 2 else -1)
         fits = fits and weight.shape == tuple(widths[-2:]) and bias.shape == (widths[-1],)
-    if not fits or widths[-1] != 3 or {tensors[name].shape for name in ("offset", "scale")} != {(observation.SIZE,)}:
-        raise PolicyFileError(f"{path} is a policy for another arm: it needs 20 inputs and 3 outputs, has layers {widths}")
+    if not fits or widths[-1] != card.outputs or {tensors[name].shape for name in ("offset", "scale")} != {(card.inputs,)}:
+        needed = f"{card.inputs} inputs and {card.outputs} outputs"
+        raise PolicyFileError(f"{path} is a policy for another arm: it needs {needed}, has layers {widths}")
     sound = all(tensor.dtype == np.float32 and np.isfinite(tensor).all() for tensor in tensors.values())
     if not sound or (tensors["scale"] == 0).any():
         raise PolicyFileError(f"{path} holds weights that are not finite float32 numbers; train it again")
