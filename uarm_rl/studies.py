@@ -26,16 +26,21 @@ def studies() -> dict[str, Sweep]:
     return found
 
 
-def point(settings: Mapping[str, Any]) -> Point:
-    """What a configuration has of all that any study varies."""
-    values = {key: _value(settings, key) for sweep in studies().values() for key in sweep}
+def point(settings: Mapping[str, Any], usual: Mapping[str, Any] | None = None) -> Point:
+    """What a configuration has of all that any study varies; what it does not have yet, being older, is as ``usual``."""
+    values = {key: _value(settings, key, usual or {}) for sweep in studies().values() for key in sweep}
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _value(settings: Mapping[str, Any], key: str) -> Any:
+def _value(settings: Mapping[str, Any], key: str, usual: Mapping[str, Any]) -> Any:
+    """A setting by its dotted name, or the name of a group; one of another name than the usual has settings of its own."""
     found: Any = settings
-    for part in key.split("."):
-        found = found.get(part) if isinstance(found, Mapping) else None
+    default: Any = usual
+    for part in key.rpartition("@")[2].split("."):
+        there, default = isinstance(found, Mapping), default.get(part) if isinstance(default, Mapping) else None
+        found = found.get(part, default) if there else None
+        if isinstance(found, Mapping) and isinstance(default, Mapping) and found.get("name") != default.get("name"):
+            default = None
     return found.get("name") if isinstance(found, Mapping) else found
 
 

@@ -128,8 +128,8 @@ def test_the_curve_of_an_ablation_is_one_even_when_a_seed_has_stored_less(tmp_pa
         add_progress(tmp_path / "ablations", "adaptive-penalty", seed, "0.2", "", f"0.{6 + 2 * seed}", missing=missing)
     report(tmp_path, USUAL)
     assert lines(tmp_path, "ablations/learning_curves.csv")[1:] == [
-        "adaptive-penalty,1,2,190,0.2,0.2,0.2",
-        "adaptive-penalty,3,2,590,0.7,0.6,0.8",
+        "adaptive-penalty,1,2,190,400,0.2,0.2,0.2",
+        "adaptive-penalty,3,2,590,1200,0.7,0.6,0.8",
     ]
 
 

@@ -125,7 +125,7 @@ def test_kinds_of_run_are_told_apart_without_colour_and_count_their_seeds(figure
     table = pd.DataFrame([{"run": buffer, "buffer": buffer, **KNOWN} for buffer in ("uniform", "steady_only", "adaptive")])
     rate = {f"rate_{how}": [0.2, 0.8] for how in ("mean", "min", "max")}
     drawn = {buffer: pd.DataFrame({"experiences": [200, 400], **rate}) for buffer in table["run"]}
-    figures.draw_runs(figure, table, drawn, "rate")
+    figures.draw_runs(figure, table, drawn, "rate", timed=False)
     final, learning = figure.axes
     assert len(styles(learning.get_lines())) == 3
     assert [text.get_text() for text in final.get_xticklabels()] == ["3 seeds"] * 3

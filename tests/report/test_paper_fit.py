@@ -86,7 +86,7 @@ def test_the_picture_has_a_line_a_method_and_the_papers_values(tmp_path):
     figure = Figure()
     figures.draw_paper_fit(figure, METHODS, {method.label: curve for method in METHODS}, points)
     (axes,) = figure.axes
-    steps = [line for line in axes.lines if len(line.get_xdata()) == 3]
+    steps = [line for line in axes.lines if len(line.get_xdata()) == 4]
     assert len({str(line.get_linestyle()) for line in steps}) == len({str(line.get_color()) for line in steps}) == 4
     hollow = [line for line in axes.lines if line.get_fillstyle() == "none"]
     assert [float(line.get_ydata()[0]) for line in hollow] == [0.99, 0.75, 1.0, 0.8]

@@ -46,10 +46,19 @@ def test_the_texts_quote_the_tables_as_they_are():
     folders = [*REPORTS, RESULTS / "ablations"]
     made = {table for folder in folders for path in folder.glob("*.md") for table in tables(path.read_text())}
     quoted = tables((ROOT / "RESULTS.md").read_text())
-    first = (RESULTS / "table1.md").read_text().split("\n\n")[0] + "\n"
+    first, fitted = ((RESULTS / f"{name}.md").read_text().split("\n\n")[0] + "\n" for name in ("table1", "paper_fit"))
     assert first in quoted
-    assert first in tables((ROOT / "README.md").read_text())
+    assert tables((ROOT / "README.md").read_text())[0] == fitted
     assert [table for table in quoted if table not in made] == []
+
+
+def test_the_readme_says_which_tolerance_was_fitted_and_what_it_predicts():
+    with open(RESULTS / "paper_fit.csv", encoding="utf-8", newline="") as file:
+        rows = {row["method"]: row for row in csv.DictReader(file)}
+    readme = " ".join((ROOT / "README.md").read_text().split())
+    assert f"with {1000 * float(rows['A']['tolerance_m']):.1f} mm in that place its table and ours agree" in readme
+    for method in "ACD":  # which is what agreeing means, B being fitted
+        assert float(rows[method]["ci_low"]) <= float(rows[method]["paper_success_rate"]) <= float(rows[method]["ci_high"])
 
 
 def test_the_readme_says_what_the_second_engine_showed():

@@ -32,12 +32,13 @@ ABLATIONS: Final = "ablations"  # below the results folder
 class Question(NamedTuple):
     """``studies`` are those that answer it, in the order of the table.
 
-    ``swept`` is the column that a sweep varies; its table and figure go by it.
+    ``swept`` is the column that a sweep varies; its table and figure go by it. ``timed``: simulated time is a price too.
     """
 
     title: str
     studies: tuple[str, ...]
     swept: str | None = None
+    timed: bool = False
 
 
 #: What is asked, and the studies that answer it.
@@ -52,6 +53,13 @@ QUESTIONS: Final = {
         "servo_rise_s",
     ),
     "sigma": Question("How hard must moving the object be punished, and what does it cost?", ("sigma",), "sigma"),
+    "observability": Question(
+        "How much of what the uniform buffer lacks is what it cannot see?",
+        ("fixed_hold", "observability", "observability_long"),
+        "setting",
+    ),
+    "actions": Question("Is it what the actions are relative to?", ("reference", "actions"), "setting"),
+    "duration": Question("Would the agent find the waiting by itself?", ("fixed_hold", "learned_duration"), timed=True),
     "constants": Question(
         "Does what was found hang on the constants that were chosen?",
         ("reference", "gamma", "tolerance", "dwell", "damping", "beta", "threshold"),
@@ -83,7 +91,7 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
     folder = results_dir / ABLATIONS
     if not folder.is_dir():
         return Section()
-    runs, points = _told_apart(find_runs(folder))
+    runs, points = _told_apart(find_runs(folder), usual)
     evaluations = read_evaluations(runs)
     if runs:
         check_engines({str(folder): pd.concat(evaluations.values())})
@@ -105,7 +113,7 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
             elif question.swept:
                 table = table.sort_values([question.swept, "buffer"], ascending=question.swept != "sigma", kind="stable")
             found[name] = table
-            section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question.swept, found[name], curves)
+            section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question, found[name], curves)
     if "constants" in found and len(choice := _choice(found["constants"], progress)):
         section.contents[f"{ABLATIONS}/choice.csv"] = tables.csv(choice)
         section.contents[f"{ABLATIONS}/choice.md"] = _choice_markdown(choice).encode()
@@ -118,7 +126,7 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
     return section
 
 
-def _told_apart(folders: Runs) -> tuple[dict[str, Sequence[Path]], dict[str, Point]]:
+def _told_apart(folders: Runs, usual: Mapping[str, Any]) -> tuple[dict[str, Sequence[Path]], dict[str, Point]]:
     """The runs by the names in their configurations, and what tells them apart; folders may have been renamed."""
     settings = {folder: read_config(seeds[0]) for folder, seeds in folders.items()}
     names = {folder: str(one.get("name")) for folder, one in settings.items()}
@@ -126,7 +134,7 @@ def _told_apart(folders: Runs) -> tuple[dict[str, Sequence[Path]], dict[str, Poi
     called = {names[folder] if plain else folder: folder for folder in folders}
     return (
         {name: folders[called[name]] for name in sorted(called)},
-        {name: point(settings[folder]) for name, folder in called.items()},
+        {name: point(settings[folder], usual) for name, folder in called.items()},
     )
 
 
@@ -147,18 +155,21 @@ def _rank(value: float | str | None, values: Sequence[Any]) -> float:
 
 
 def _setting(study: str, run: Point) -> str:
-    """The constant that a run's study changed, with its unit: ``dwell 0.25 s``."""
-    if study == "reference":
-        return "default"
-    key, value = next((key, run[key]) for key in studies()[study] if isinstance(run.get(key), (int, float)))
-    factor, unit = _UNITS.get(key.rpartition("_")[2], (1.0, ""))
-    return f"{study} {factor * value:g}{unit}"
+    """What a run's study changed but the buffer, with its unit: ``dwell 0.25 s``, ``observation velocity``."""
+    words = []
+    for key in (key for key in studies()[study] if key != "buffer" and key in run):
+        factor, unit = _UNITS.get(key.rpartition("_")[2], (1.0, ""))
+        value = run[key]
+        words.append(f"{key.rpartition('.')[2]} {value}" if isinstance(value, str) else f"{study} {factor * value:g}{unit}")
+    label = ", ".join(words).replace("_", " ") or "default"
+    return f"{label}, long" if study.endswith("_long") else label
 
 
 def _curve(progress: pd.DataFrame) -> pd.DataFrame:
     """Validation success over seeds, episode by episode: seeds that were cut short have stored a few experiences less."""
     validated = progress.dropna(subset=[_RATE])
-    return tables.over_seeds(validated, "episode", [_RATE], experiences=("experiences", "mean"))
+    spent = {name: (name, "mean") for name in ("experiences", "control_steps")}
+    return tables.over_seeds(validated, "episode", [_RATE], **spent)
 
 
 def _row(run: str, buffer: str, evaluation: pd.DataFrame, progress: pd.DataFrame, shortest: float) -> dict[str, Any]:
@@ -225,14 +236,15 @@ def _choice_markdown(choice: pd.DataFrame) -> str:
     return f"{tables.markdown(headings, cells)}\n{words}\n"
 
 
-def _picture(swept: str | None, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> bytes:
+def _picture(question: Question, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> bytes:
+    swept = question.swept
     if swept == "servo_rise_s":
         return figures.picture(lambda figure: figures.draw_servo_sweep(figure, table), 2.6)
     if swept == "sigma":
         return figures.picture(lambda figure: figures.draw_sigma_sweep(figure, table))
     if swept == "setting":
         return figures.picture(lambda figure: figures.draw_settings(figure, table), 2.6)
-    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE))
+    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE, timed=question.timed))
 
 
 def _missing(

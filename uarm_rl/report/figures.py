@@ -33,6 +33,7 @@ _BUFFERS: Final = {
     "steady_only": _Style("#56B4E9", "-.", "D"),
     "unstuck_only": _Style("#D55E00", ":", "v"),
     "fixed_hold": _Style("#0072B2", (0, (6, 1, 1, 1, 1, 1)), "P"),
+    "learned_hold": _Style("#E69F00", (0, (3, 2)), "X"),
 }
 _MARKERS: Final = ("o", "s", "D", "v", "^", "P", "X")
 _WIDEST_MM: Final = 20.0  # of the tolerances that a curve is drawn for
@@ -121,14 +122,15 @@ def draw_paper_fit(figure: Figure, methods: Sequence[Method], curves: Mapping[st
     axes.axvspan(low, min(high, _WIDEST_MM), color="0.85", linewidth=0)
     for number, method in enumerate(methods):
         curve, row = curves[method.label], points[points["method"] == method.label]
-        axes.step(curve["tolerance_mm"], curve["success_rate"], where="post", color=method.colour, linestyle=method.line)
+        distances, rates = [*curve["tolerance_mm"], _WIDEST_MM], [*curve["success_rate"], curve["success_rate"].iloc[-1]]
+        axes.step(distances, rates, where="post", color=method.colour, linestyle=method.line)
         marker = _MARKERS[number % len(_MARKERS)]
         place = fitted * 1.05 ** (number - (len(methods) - 1) / 2)
         _points(axes, pd.Series([place]), row, _Style(method.colour, method.line, marker), method.words)
         axes.plot(place, row["paper_success_rate"], marker=marker, fillstyle="none", color="black", markersize=5, linestyle="")
     axes.set(
-        xlabel=f"Tolerance (mm)\nat the fitted {fitted:.1f} mm (grey: its 95 % interval), moved aside a little:\n"
-        f"filled: ours, {_INTERVAL}; hollow and black: the paper's",
+        xlabel=f"Tolerance (mm)\nat the fitted {fitted:.1f} mm (grey: its 95 % interval), moved aside:\n"
+        f"filled: ours, {_INTERVAL}; hollow, black: the paper's",
         xscale="log",
         xlim=(1, _WIDEST_MM),
     )
@@ -192,24 +194,26 @@ def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, posit
     figure.suptitle(f"Test position {position}, the last 40 mm of the way; +: the object at the end", fontsize=7)
 
 
-def draw_runs(figure: Figure, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame], rate: str) -> None:
-    """A few kinds of run beside each other: success of the final policies, and on the way there."""
-    final, learning = figure.subplots(2, 1, height_ratios=(1, 1.4))
+def draw_runs(figure: Figure, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame], rate: str, *, timed: bool) -> None:
+    """A few kinds of run beside each other: success of the final policies, and on the way there, ``timed`` over time too."""
+    final, *learning = figure.subplots(2 + timed, 1, height_ratios=(1, 1.4, 1.4)[: 2 + timed])
+    spent = {"experiences": "Stored experiences (thousands)", "control_steps": "Control steps of simulated time (thousands)"}
     for number, row in enumerate(tables.records(table)):
         style = _BUFFERS.get(row["buffer"], _Style())
         _points(final, pd.Series([number]), pd.DataFrame([row]), style, _worded(row["buffer"]))
         curve = curves[row["run"]]
-        mean = curve[f"{rate}_mean"]
-        learning.plot(curve["experiences"], mean, color=style.colour, linestyle=style.line, marker=style.marker, markersize=2)
-        low, high = curve[f"{rate}_min"], curve[f"{rate}_max"]
-        learning.fill_between(curve["experiences"], low, high, color=style.colour, alpha=0.2, lw=0)
+        for axes, x in zip(learning, spent, strict=False):
+            line = {"color": style.colour, "linestyle": style.line, "marker": style.marker, "markersize": 2}
+            axes.plot(curve[x], curve[f"{rate}_mean"], **line)
+            axes.fill_between(curve[x], curve[f"{rate}_min"], curve[f"{rate}_max"], color=style.colour, alpha=0.2, lw=0)
     final.set_xticks(range(len(table)), [_seeds(seeds) for seeds in table["seeds"]])
     final.set(xlabel=_INTERVAL)
     final.set_xlim(-0.5, len(table) - 0.5)
     _success_axis(final, "Success on the\ntest positions (%)")
-    learning.set(xlabel=f"Stored experiences (thousands)\n{_BAND}")
-    learning.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")
-    _success_axis(learning, "Success on validation\npositions (%)")
+    for axes, words in zip(learning, spent.values(), strict=False):
+        axes.set(xlabel=f"{words}\n{_BAND}", xscale="log" if words.startswith("Control") else "linear")
+        axes.xaxis.set_major_formatter(lambda count, _: f"{count / 1000:g}")
+        _success_axis(axes, "Success on validation\npositions (%)")
 
 
 def draw_servo_sweep(figure: Figure, table: pd.DataFrame) -> None:
