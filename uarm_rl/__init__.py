@@ -34,9 +34,10 @@ __version__ = "0.1.0"
 def make_env(*overrides: str, render_mode: str | None = None) -> UArmSuctionEnv:
     """The suction task in simulation, a ``gymnasium.Env``; ``overrides`` as on the command line of ``uarm-rl train``.
 
-    Observations have shape (20,), float32, metres and radians (``uarm_rl.task.observation.NAMES``); actions shape (3,), in
-    [-1, 1], times ``max_delta_rad``. Raises :class:`ValueError` for a value out of range, ``uarm_rl.checks.UsageError`` for
-    an override that does not exist, and :class:`ModuleNotFoundError` where the engine is not installed.
+    Observations have shape (20,), float32, metres and radians (``uarm_rl.task.observation.NAMES``), and more numbers where the
+    overrides ask for them; actions shape (3,), in [-1, 1], times ``max_delta_rad``. Raises :class:`ValueError` for a value out
+    of range, ``uarm_rl.checks.UsageError`` for an override that does not exist, and :class:`ModuleNotFoundError` where the
+    engine is not installed.
     """
     from uarm_rl.configuration import make_env
 

@@ -113,8 +113,13 @@ PRIORITIZED = ("sampling@buffer.sampling=prioritized", "agent.n_steps=3", "buffe
 
 @pytest.mark.parametrize(
     "method",
-    [("buffer=uniform",), ("buffer=adaptive",), ("buffer=every_step", *PRIORITIZED)],
-    ids=["uniform", "adaptive", "prioritized"],
+    [
+        ("buffer=uniform",),
+        ("buffer=adaptive",),
+        ("buffer=every_step", *PRIORITIZED),
+        ("buffer=learned_hold", "observation=stack", "actions=reference"),
+    ],
+    ids=["uniform", "adaptive", "prioritized", "learned"],
 )
 def test_an_interrupted_and_resumed_run_ends_as_an_uninterrupted_one(tmp_path, monkeypatch, method, capsys):
     whole = outcome(train(tmp_path / "whole", *method))

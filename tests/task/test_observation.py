@@ -113,7 +113,7 @@ def test_what_is_remembered_ends_with_a_reset_that_brings_the_arm_home(make_env)
 
 def test_the_agent_says_how_long(make_env):
     hold = LearnedHold(max_control_steps=40)
-    assert [hold.chosen([number]) for number in (-1.0, 0.0, 1.0)] == [FixedHold(1), FixedHold(20), FixedHold(40)]
+    assert [hold.chosen([number]) for number in (-1.0, 0.0, 1.0)] == [FixedHold(1), FixedHold(21), FixedHold(40)]
     assert FixedHold(7).chosen([]) == FixedHold(7)
     env = make_env("buffer=learned_hold")
     assert env.action_space.shape == (4,)

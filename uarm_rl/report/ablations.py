@@ -33,12 +33,19 @@ class Question(NamedTuple):
     """``studies`` are those that answer it, in the order of the table.
 
     ``swept`` is the column that a sweep varies; its table and figure go by it. ``timed``: simulated time is a price too.
+    ``beside`` are further studies, shown first for comparison, which alone answer nothing.
     """
 
     title: str
     studies: tuple[str, ...]
     swept: str | None = None
     timed: bool = False
+    beside: tuple[str, ...] = ()
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """All of its studies, in the order of the table."""
+        return (*self.beside, *self.studies)
 
 
 #: What is asked, and the studies that answer it.
@@ -55,17 +62,31 @@ QUESTIONS: Final = {
     "sigma": Question("How hard must moving the object be punished, and what does it cost?", ("sigma",), "sigma"),
     "observability": Question(
         "How much of what the uniform buffer lacks is what it cannot see?",
-        ("fixed_hold", "observability", "observability_long"),
+        ("observability", "observability_long"),
         "setting",
+        beside=("fixed_hold",),
     ),
-    "actions": Question("Is it what the actions are relative to?", ("reference", "actions"), "setting"),
-    "duration": Question("Would the agent find the waiting by itself?", ("fixed_hold", "learned_duration"), timed=True),
+    "actions": Question("Is it what the actions are relative to?", ("actions",), "setting", beside=("reference",)),
+    "horizon": Question("Is it how far a discount looks ahead?", ("semi_markov",), "setting", beside=("fixed_hold", "gamma")),
+    "n_step": Question("Is it how slowly credit comes back?", ("n_step",), "setting", beside=("reference",)),
+    "tuning": Question("Is uniform badly tuned for its cycle time?", ("tuning",), "setting", beside=("reference",)),
+    "every_step": Question("Does storing the moving states too do harm?", ("every_step",), beside=("reference",)),
+    "prioritized": Question("Does sampling by priority do the same?", ("prioritized",), "setting", beside=("reference",)),
+    "duration": Question(
+        "Would the agent find the waiting by itself?", ("learned_duration",), timed=True, beside=("fixed_hold",)
+    ),
+    "duration_by_time": Question(
+        "And with a discount by time?", ("learned_duration_by_time",), "setting", beside=("fixed_hold", "semi_markov")
+    ),
     "constants": Question(
         "Does what was found hang on the constants that were chosen?",
         ("reference", "gamma", "tolerance", "dwell", "damping", "beta", "threshold"),
         "setting",
     ),
 }
+
+#: The questions whose answer is a choice, made on validation positions, and the file that it is made from.
+_CHOICES: Final = {"constants": "choice", "observability": "choice-observability", "tuning": "choice-tuning"}
 
 _HEADINGS: Final = {
     "setting": "Changed",
@@ -104,7 +125,7 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
         members = _members(question, points, point(usual))
         chosen = {run: study for run, study in members.items() if len(evaluations[run])}
         section.remarks += _missing(folder, name, question, points, members, chosen)
-        if chosen:
+        if set(chosen.values()) & set(question.studies):
             shortest = min(progress[run]["episode"].max() for run in chosen)
             rows = [_row(run, points[run]["buffer"], evaluations[run], progress[run], shortest) for run in chosen]
             table = pd.DataFrame(rows)
@@ -114,9 +135,10 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
                 table = table.sort_values([question.swept, "buffer"], ascending=question.swept != "sigma", kind="stable")
             found[name] = table
             section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question, found[name], curves)
-    if "constants" in found and len(choice := _choice(found["constants"], progress)):
-        section.contents[f"{ABLATIONS}/choice.csv"] = tables.csv(choice)
-        section.contents[f"{ABLATIONS}/choice.md"] = _choice_markdown(choice).encode()
+    for name, file in _CHOICES.items():
+        if name in found and len(choice := _choice(found[name], progress)):
+            section.contents[f"{ABLATIONS}/{file}.csv"] = tables.csv(choice)
+            section.contents[f"{ABLATIONS}/{file}.md"] = _choice_markdown(choice).encode()
     if found:
         stacked = pd.concat([table.assign(question=name) for name, table in found.items()])
         section.contents[f"{ABLATIONS}/ablations.csv"] = tables.csv(stacked[["question", *stacked.columns.drop("question")]])
@@ -141,7 +163,7 @@ def _told_apart(folders: Runs, usual: Mapping[str, Any]) -> tuple[dict[str, Sequ
 def _members(question: Question, points: Mapping[str, Point], usual: Point) -> dict[str, str]:
     """The runs of a question in the order of its table, each with the first study that it belongs to."""
     found: dict[str, str] = {}
-    for study in question.studies:
+    for study in question.shown:
         sweep = studies()[study]
         runs = [run for run, one in points.items() if "buffer" in one and belongs(one, sweep, usual)]
         for run in sorted(runs, key=lambda run: [_rank(points[run].get(key), sweep[key]) for key in sweep]):
@@ -156,11 +178,12 @@ def _rank(value: float | str | None, values: Sequence[Any]) -> float:
 
 def _setting(study: str, run: Point) -> str:
     """What a run's study changed but the buffer, with its unit: ``dwell 0.25 s``, ``observation velocity``."""
+    varied = [key for key in studies()[study] if key != "buffer" and key in run]
     words = []
-    for key in (key for key in studies()[study] if key != "buffer" and key in run):
+    for key in varied:
         factor, unit = _UNITS.get(key.rpartition("_")[2], (1.0, ""))
-        value = run[key]
-        words.append(f"{key.rpartition('.')[2]} {value}" if isinstance(value, str) else f"{study} {factor * value:g}{unit}")
+        name = study if len(varied) == 1 and not isinstance(run[key], str) else key.rpartition(".")[2]
+        words.append(f"{name} {run[key] if isinstance(run[key], str) else f'{factor * run[key]:g}{unit}'}")
     label = ", ".join(words).replace("_", " ") or "default"
     return f"{label}, long" if study.endswith("_long") else label
 
@@ -251,7 +274,7 @@ def _missing(
     folder: Path, name: str, question: Question, points: Mapping[str, Point], trained: Iterable[str], tested: Iterable[str]
 ) -> list[str]:
     """A remark on the runs of a question that are not there or not evaluated, and the command for them."""
-    absent = {study: _absent(studies()[study], [points[run] for run in tested]) for study in question.studies}
+    absent = {study: _absent(studies()[study], [points[run] for run in tested]) for study in question.shown}
     lacking = [study for study, count in absent.items() if count]
     if not lacking:
         return []

@@ -33,6 +33,7 @@ _BUFFERS: Final = {
     "steady_only": _Style("#56B4E9", "-.", "D"),
     "unstuck_only": _Style("#D55E00", ":", "v"),
     "fixed_hold": _Style("#0072B2", (0, (6, 1, 1, 1, 1, 1)), "P"),
+    "every_step": _Style("#777777", (0, (8, 2)), "^"),
     "learned_hold": _Style("#E69F00", (0, (3, 2)), "X"),
 }
 _MARKERS: Final = ("o", "s", "D", "v", "^", "P", "X")

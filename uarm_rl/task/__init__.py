@@ -4,7 +4,7 @@ Read ``env.py`` first: the Gymnasium environment, one step a decision. It stands
 
 - ``arm.py``: what it asks of an arm and of a target (protocols), and the errors of arms
 - ``kinematics.py``: geometry of the uArm, limits, angle conventions
-- ``observation.py``, ``reward.py``, ``hold.py``: the 20 numbers, equation (4), how long a command acts
+- ``observation.py``, ``reward.py``, ``hold.py``: the 20 numbers or more, equation (4), how long a command acts
 - ``within.py``: the control steps of a held decision, as decisions that might have begun there
 - ``positions.py``: where the object may lie, and the committed files of positions
 
