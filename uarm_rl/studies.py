@@ -28,6 +28,8 @@ def studies() -> dict[str, Sweep]:
 
 def point(settings: Mapping[str, Any], usual: Mapping[str, Any] | None = None) -> Point:
     """What a configuration has of all that any study varies; what it does not have yet, being older, is as ``usual``."""
+    if not settings:  # a configuration that cannot be read says nothing
+        return {}
     values = {key: _value(settings, key, usual or {}) for sweep in studies().values() for key in sweep}
     return {key: value for key, value in values.items() if value is not None}
 
