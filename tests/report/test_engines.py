@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -48,6 +51,16 @@ def test_each_method_in_both_engines(tmp_path):
         "makes it"
     ]
     assert lines(tmp_path, "table1.csv")[4].startswith("D,uniform,penalty,1,0.25,")  # not of MuJoCo's run
+
+
+@pytest.mark.parametrize(("tested", "other"), [("pybullet", "mujoco"), ("mujoco", "pybullet")])
+def test_only_an_engine_that_is_installed_is_missed(tmp_path, monkeypatch, tested, other):
+    add_run(tmp_path, "C", tested, **{tested: "11"})
+    monkeypatch.setitem(sys.modules, other, ModuleType(other))
+    sys.modules[other].__spec__ = ModuleSpec(other, None)
+    assert len(remarks(report(tmp_path, USUAL), f"two engines, missing: {other}.csv")) == 1
+    monkeypatch.setitem(sys.modules, other, None)
+    assert remarks(report(tmp_path, USUAL), "two engines") == []
 
 
 def test_how_far_apart_under_the_same_commands(tmp_path):

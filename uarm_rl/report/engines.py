@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -128,9 +129,9 @@ def _apart(path: Path) -> str:
 
 
 def _missing(results_dir: Path, runs: Runs, standard: Mapping[str, pd.DataFrame]) -> list[str]:
-    """A remark on the runs that were tested in one engine alone, and the command for the other."""
+    """A remark on the runs that were tested in one engine alone, and the command for the other where it can be run."""
     tested = {engine for rows in standard.values() for engine in rows["engine"]}
     other = next((engine for engine in reversed(_ENGINES) if engine not in tested), "")
-    which = lacking(runs, f"{other}.csv") if other else ""
+    which = lacking(runs, f"{other}.csv") if other and find_spec(other) else ""
     test = command(results_dir, f"evaluate sim={other} out={other}.csv")
     return [f"two engines, missing: {other}.csv ({which}); {test} makes it"] if which else []
