@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -20,24 +21,33 @@ _IR_VERSION: Final = 8
 #: The key of a model's metadata under which ``description`` stands, as JSON.
 METADATA: Final = "uarm-rl"
 
+#: What an action asks for, by what it is relative to.
+_MEANINGS: Final = {
+    "joint": "its angle now plus max_delta_rad times its action",
+    "reference": "its last reference plus max_delta_rad times its action",
+    "absolute": "the middle of its limits plus half their distance times its action",
+}
+
 
 def description(policy: ActorPolicy) -> dict[str, Any]:
     """What goes into the model, what comes out, with names and units, and the policy's card: how it is to be run."""
-    numbers = [{"name": name, "unit": _unit(name)} for name in observation.NAMES]
+    card = policy.card
+    numbers = [{"name": name, "unit": _unit(name)} for name in observation.kind(card.observation).names]
     low, high = kinematics.JOINT_LIMITS_RAD.T.tolist()
     joints = [
         {"name": f"joint{number}", "low_rad": least, "high_rad": most}
         for number, (least, most) in enumerate(zip(low, high, strict=True), 1)
     ]
+    duration = [{"name": "duration", "steps": [1, card.hold["max_control_steps"]]}] if card.outputs > len(joints) else []
     return {
-        "input": {"name": "observation", "type": "float32", "shape": ["batch", observation.SIZE], "numbers": numbers},
+        "input": {"name": "observation", "type": "float32", "shape": ["batch", card.inputs], "numbers": numbers},
         "output": {
             "name": "action",
             "type": "float32",
-            "shape": ["batch", len(joints)],
+            "shape": ["batch", card.outputs],
             "range": [-1.0, 1.0],
-            "meaning": "a joint's reference is its angle now plus max_delta_rad times its action, cut at the joint's limits",
-            "numbers": joints,
+            "meaning": f"a joint's reference is {_MEANINGS[card.actions]}, cut at the joint's limits",
+            "numbers": [*joints, *duration],
         },
         "frame": "base of the arm: x ahead, y to the left, z up; metres and radians",
         "policy": asdict(policy.card),
@@ -45,11 +55,14 @@ def description(policy: ActorPolicy) -> dict[str, Any]:
 
 
 def _unit(name: str) -> str:
-    return next((unit for unit in ("m", "rad") if name.endswith(f"_{unit}")), "0 or 1")
+    name = re.sub(r"_\d+_ago$", "", name)  # an older frame of a stack
+    units = {"_m": "m", "_rad": "rad", "_rad_s": "rad/s", "flag": "0 or 1"}
+    return next((unit for end, unit in units.items() if name.endswith(end)), "1")
 
 
 def onnx_model(policy: ActorPolicy, *, precision: str = "float64") -> bytes:
-    """The model: ``observation``, shape (batch, 20), to ``action``, shape (batch, 3), both float32; scaling included.
+    """The model: ``observation``, shape (batch, 20), to ``action``, shape (batch, 3), both float32; scaling included. Other
+    kinds of policy have other sizes, those of their card.
 
     It computes in float64, as the policy itself does, or in float32, for a runtime that has nothing else: sums of several
     hundred products then differ in the sixth decimal of an action. The weights are stored as the float32 numbers they are.
@@ -79,8 +92,8 @@ def onnx_model(policy: ActorPolicy, *, precision: str = "float64") -> bytes:
     graph = helper.make_graph(
         nodes,
         "uarm-rl policy",
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", observation.SIZE])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", kinematics.JOINT_LIMITS_RAD.shape[0]])],
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", policy.card.inputs])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", policy.card.outputs])],
         constants,
     )
     opset = [helper.make_opsetid("", _OPSET)]
