@@ -81,8 +81,8 @@ class WeightsAndBiases:
 
     @contextmanager
     def opened(self, run_dir: Path, settings: Mapping[str, Any]) -> Iterator[Write]:
-        wandb: Any = import_module("wandb")  # its types would be those of whichever release is there, or of none
         _plain(run_dir / "wandb")
+        wandb: Any = import_module("wandb")  # its types would be those of whichever release is there, or of none
         quiet = wandb.Settings(silent=True, console="off", disable_git=True, disable_code=True, x_disable_stats=True)
         words = {**self._words, "dir": str(run_dir), "group": run_dir.parent.name, "name": _name(run_dir)}
         with wandb.init(**words, config=dict(settings), settings=quiet) as run:
