@@ -110,7 +110,7 @@ CONDITIONS: Final = _columns(
     Column("sigma", FINITE, "1/m", "of the method's own reward: the punishment for moving the object", since="2026-11-22"),
     Column("engine", TEXT, "", "`pybullet` or `mujoco`; in older files it is PyBullet", since="2026-11-27"),
 )
-#: How the arm leans on the object: where that is asked for, or the object a ghost, or the cup one that gives.
+#: How the arm leans on the object.
 LEANING: Final = _columns(
     Column("press_m", FINITE, "m", "the deepest that the cup was below the object's upper surface while over it", since=_LEANS),
     Column("reference_press_m", FINITE, "m", "the same of the cup as it was commanded", since=_LEANS),

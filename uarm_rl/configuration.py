@@ -164,6 +164,7 @@ def build_env(
         keep_within=keep_within,
         observation=build("observation", settings["observation"]),
         actions=settings["actions"],
+        tightest_m=settings["tightest_m"],
         render_mode=render_mode,
         render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size),
@@ -329,7 +330,7 @@ def policy_card(settings: Settings) -> PolicyCard:
     return PolicyCard(
         **{
             key: settings[key]
-            for key in ("max_delta_rad", "control_hz", "servo", "tolerance_m", "dwell_s", "episodes", "seed")
+            for key in ("max_delta_rad", "control_hz", "servo", "cup", "tolerance_m", "dwell_s", "episodes", "seed")
             + ("observation", "actions")
         },
         hold=settings["buffer"]["hold"],

@@ -148,9 +148,12 @@ def test_the_command(run, tmp_path):  # noqa: F811
     """Exit code 1 and what to do about each problem; 0 when all is well."""
     code, output, error = run("doctor")
     assert (code, error) == (1, "")
-    for words in ("USB id of the uArm", "OpenMV", "calibration.json cannot be read", "there is no policy"):
+    for words in ("USB id of the uArm", "OpenMV", "calibration.json cannot be read"):
         assert words in output
-    assert output.splitlines()[-1] == "4 problems"
+    assert output.splitlines()[-1] == "3 problems"
+    assert re.search(r"ok +policy +default, 1500 episodes", output)
+    _, output, _ = run("doctor", "policy=away")
+    assert re.search(r"problem +policy +there is no policy away", output)
     policy_file(tmp_path / "run" / "policy.safetensors")
     nominal().save(tmp_path / "calibration.json")
     cv2.imwrite(str(tmp_path / "picture.png"), np.full((240, 320, 3), 99, np.uint8))

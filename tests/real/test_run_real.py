@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 import re
 import signal
@@ -10,6 +11,8 @@ import subprocess
 import sys
 import time
 from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +28,9 @@ from uarm_rl.emulator.realism import Settings
 from uarm_rl.real import session
 from uarm_rl.real.vision.camera_model import nominal
 from uarm_rl.task.policy import encode
+
+ROOT = Path(__file__).parents[2]
+
 
 # The command line
 
@@ -179,7 +185,11 @@ TARGET = ("--target", 0.2, 0.05, 0.03)
         (["port=/dev/nowhere", *TARGET, *FAST[2:]], 1, ["there is no port /dev/nowhere"]),
         (["port=/dev/nowhere", *FAST[2:4]], 1, ["there is no port /dev/nowhere; plug in the USB cable and the power"]),
         ([*TARGET, *FAST[2:]], 1, ["no serial port has the USB id of the uArm", "--port"]),
-        (["port=PORT", *TARGET], 2, ["there is no policy results/real_arm/seed0", "--policy", "experiment=real_arm"]),
+        (
+            ["port=PORT", *TARGET, "policy=away"],
+            2,
+            ["there is no policy away", "--policy takes default", "experiment=real_arm"],
+        ),
         (["port=PORT", *TARGET, "policy=wide"], 1, ["action scale", "max_delta_rad", "0.25, got 0.3"]),
         (["port=PORT", *TARGET, "policy=poor"], 1, ["lacks", "tolerance_m"]),
         (["port=PORT", *TARGET, "policy=torn/policy.safetensors"], 1, ["truncated, damaged"]),
@@ -270,6 +280,26 @@ def test_a_policy_of_another_servo_is_warned_of(run, tmp_path):
     assert code == 0
     assert re.search(r"warning: the policy was trained with servo=second_order", error)
     assert re.search(r"warning: the policy was not trained to wait", error)
+
+
+def test_a_policy_that_may_lean_is_warned_of(run, tmp_path):
+    policy_file(tmp_path / "run" / "policy.safetensors", cup={"name": "rigid"})
+    _, _, error = run("run-real", "--dry-run", "--policy", "run", "--trials", 1)
+    assert re.search(r"warning: the policy was trained with a rigid cup and may lean", error)
+
+
+def test_the_packaged_policy_is_found_away_from_any_checkout(run, tmp_path):
+    """It is the policy that a folder of the results holds, and its card says which file it is."""
+    code, output, error = run("run-real", "--dry-run", "--target", 0.2, 0.05, 0.03, "--trials", 1)
+    assert (code, error) == (0, "")
+    assert re.search(r"^ +1 .* held ", output, re.MULTILINE)
+    assert list(tmp_path.iterdir()) == []
+    packaged = resources.files("uarm_rl.real")
+    data = (packaged / "default.safetensors").read_bytes()
+    card = (packaged / "default.md").read_text(encoding="utf-8")
+    assert hashlib.sha256(data).hexdigest() in card
+    (source,) = re.findall(r"`results/(real_arm/seed\d+)`", card)
+    assert (ROOT / "results" / source / "policy.safetensors").read_bytes() == data
 
 
 def test_the_feed_is_that_of_the_training(run, tmp_path):

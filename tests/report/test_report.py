@@ -84,16 +84,16 @@ def test_table1_csv(example):
     shaking = "0.25,12.5,0.0125"
     assert lines[0] == (
         "method,buffer,reward,seeds,success_rate,ci_low,ci_high,paper_success_rate,"
-        "reversals_per_s,rms_jerk,tip_travel_last_s_m,time_s,object_displacement_m"
+        "reversals_per_s,rms_jerk,tip_travel_last_s_m,time_s,object_displacement_m,press_m,contact_n"
     )
     low, high = wilson_interval(4, 4)
-    assert lines[1] == f"A,adaptive,plain,2,1,{low:.6g},{high:.6g},0.99,{shaking},2.5,0.001"
-    assert lines[2] == "B,uniform,plain,0,,,,0.75,,,,,"
+    assert lines[1] == f"A,adaptive,plain,2,1,{low:.6g},{high:.6g},0.99,{shaking},2.5,0.001,,"
+    assert lines[2] == "B,uniform,plain,0,,,,0.75,,,,,,,"
     low, high = wilson_interval(3, 4)
-    assert lines[3] == f"C,adaptive,penalty,1,0.75,{low:.6g},{high:.6g},1,{shaking},2,0.001"
-    assert lines[4] == "D,uniform,penalty,0,,,,0.8,,,,,"
+    assert lines[3] == f"C,adaptive,penalty,1,0.75,{low:.6g},{high:.6g},1,{shaking},2,0.001,,"
+    assert lines[4] == "D,uniform,penalty,0,,,,0.8,,,,,,,"
     low, high = wilson_interval(4, 4)
-    assert lines[5] == f"IK,,,1,1,{low:.6g},{high:.6g},,{shaking},2,0.001"
+    assert lines[5] == f"IK,,,1,1,{low:.6g},{high:.6g},,{shaking},2,0.001,,"
     name, buffer, reward, seeds, rate, ci_low, ci_high, paper, *_ = lines[6].split(",")
     assert (name, buffer, reward, seeds, rate, paper) == ("fixed_hold-penalty", "", "", "2", "0.5", "")
     assert 0.0 <= float(ci_low) < 0.5 < float(ci_high) <= 1.0
@@ -105,15 +105,15 @@ def test_table1_markdown(example):
     lines = (results / "table1.md").read_text().splitlines()
     assert lines[:2] == [
         "| Method | Buffer | Reward | Seeds | Success (95 % interval) | Paper | Reversals (1/s) | RMS jerk (m/s³) "
-        "| Tip travel (mm, last second) | Time (s) | Object moved (mm) |",
-        "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| Tip travel (mm, last second) | Time (s) | Object moved (mm) | Pressed (mm) | Contact (N) |",
+        "| --- | --- | --- |" + " ---: |" * 10,
     ]
     assert lines[2:7] == [
-        "| A | adaptive | plain | 2 | 100 % (51 to 100 %) | 99 % | 0.25 | 12.5 | 12.5 | 2.50 | 1.0 |",
-        "| B | uniform | plain | 0 of 1 | - | 75 % | - | - | - | - | - |",
-        "| C | adaptive | penalty | 1 of 2 | 75 % (30.1 to 95.4 %) | 100 % | 0.25 | 12.5 | 12.5 | 2.00 | 1.0 |",
-        "| D | uniform | penalty | - | - | 80 % | - | - | - | - | - |",
-        "| IK | - | - | 1 | 100 % (51 to 100 %) | - | 0.25 | 12.5 | 12.5 | 2.00 | 1.0 |",
+        "| A | adaptive | plain | 2 | 100 % (51 to 100 %) | 99 % | 0.25 | 12.5 | 12.5 | 2.50 | 1.0 | - | - |",
+        "| B | uniform | plain | 0 of 1 | - | 75 % | - | - | - | - | - | - | - |",
+        "| C | adaptive | penalty | 1 of 2 | 75 % (30.1 to 95.4 %) | 100 % | 0.25 | 12.5 | 12.5 | 2.00 | 1.0 | - | - |",
+        "| D | uniform | penalty | - | - | 80 % | - | - | - | - | - | - | - |",
+        "| IK | - | - | 1 | 100 % (51 to 100 %) | - | 0.25 | 12.5 | 12.5 | 2.00 | 1.0 | - | - |",
     ]
     assert lines[7].startswith("| fixed_hold-penalty | - | - | 2 | 50 % (")
 
@@ -162,9 +162,9 @@ def test_the_text_holds_the_table_what_is_missing_and_the_files(example):
     results, text = example
     lines = text.splitlines()
     assert " ".join(lines[0].split()) == (
-        "Method Buffer Reward Seeds Success Paper Reversals RMS jerk Tip travel Time Object moved"
+        "Method Buffer Reward Seeds Success Paper Reversals RMS jerk Tip travel Time Object moved Pressed Contact"
     )
-    assert " ".join(lines[3].split()) == "A adaptive plain 2 100 % (51 to 100 %) 99 % 0.25 12.5 12.5 2.50 1.0"
+    assert " ".join(lines[3].split()) == "A adaptive plain 2 100 % (51 to 100 %) 99 % 0.25 12.5 12.5 2.50 1.0 - -"
     assert len({len(line) for line in lines[2:9]}) == 1  # aligned
     assert "not trained: D (uniform-penalty)" in lines
     waiting = ", ".join(str(results / run) for run in ("uniform-plain/seed0", "adaptive-penalty/seed1"))

@@ -166,6 +166,35 @@ def test_held_out_positions_beside_the_test_positions(tmp_path):
     assert "heldout.csv (2 of 4 runs)" in remarks(text, "held-out positions, missing")[0]
 
 
+def test_who_leans_on_the_object(tmp_path):
+    def add(seed, successes, file, press_m, **conditions):
+        further = {"reference_press_m": str(2 * press_m), "contact_n": "0.5", "object": "solid", "cup": "rigid"} | conditions
+        add_evaluation(tmp_path, "A", seed, successes, file, press_m=str(press_m), **further)
+
+    add(0, "11", "evaluation.csv", 0.001)
+    add(1, "11", "evaluation.csv", 0.003)
+    add(0, "10", "ghost.csv", 0.012, object="ghost", contact_n="0")
+    add(0, "11", "bellows.csv", 0.004, cup="bellows", contact_n="7.25")
+    add_evaluation(tmp_path, "B", 0, "11", old="")  # older than the columns
+    text = report(tmp_path, {})
+    half = statistics.wilson_interval(1, 2)
+    table = lines(tmp_path, "leaning.csv")
+    assert table[0].startswith(
+        "method,trained_with,episodes,object,cup,seeds,success_rate,ci_low,ci_high,press_median_m,press_99_m,press_most_m,"
+    )
+    assert table[1].startswith("A,,,solid,rigid,2,1,")
+    assert table[2] == f"A,,,ghost,rigid,1,0.5,{half[0]:.6g},{half[1]:.6g},0.012,0.012,0.012,0.024,0.024,0.024,0,0,0"
+    assert [row.split(",")[3:5] for row in table[1:]] == [["solid", "rigid"], ["ghost", "rigid"], ["solid", "bellows"]]
+    cells = lines(tmp_path, "leaning.md")
+    assert cells[2].endswith("| 2.0, 3.0, 3.0 | 4.0, 6.0 | 0.5, 0.5, 0.5 |")
+    assert cells[3].endswith("| 12.0, 12.0, 12.0 | 24.0, 24.0 | - |")
+    assert cells[4].endswith("| 7.2, 7.2, 7.2 |")
+    assert "ghost.csv (2 of 3 runs)" in remarks(text, "leaning, missing")[0]
+    assert lines(tmp_path, "table1.csv")[0].endswith(",press_m,contact_n")
+    assert lines(tmp_path, "table1.csv")[1].endswith(",0.002,0.5")
+    assert lines(tmp_path, "table1.csv")[2].endswith(",,")
+
+
 def test_train_hold_by_test_hold(tmp_path):
     for name, hold in (("A", "until_steady(2..40)"), ("B", "fixed(1)")):
         add_evaluation(tmp_path, name, 0, "1111", hold=hold)

@@ -228,6 +228,32 @@ def test_a_share_of_the_episodes_has_ghosts(make_env):
     assert again == kinds
 
 
+def test_training_episodes_draw_their_tolerance(make_env):
+    """Near enough is what the episode drew; a test has the tolerance itself, and then nothing is drawn."""
+
+    def near_enough(env, **options):
+        env.reset(options={"object_position": (0.2, 0.0, 0.03), **options})
+        arrived = []
+        for _ in range(200):
+            wish = kinematics.inverse((0.2, 0.0, 0.034)) - env.state()[:3]  # 4 mm above the target
+            _, _, success, _, info = env.step(np.clip(wish / 0.15, -1.0, 1.0).astype(np.float32))
+            arrived.append(info["distance_m"])
+            if success:
+                return True
+        assert max(arrived[-5:]) == pytest.approx(0.004, abs=2e-4)
+        return False
+
+    strict = make_env("buffer=adaptive", "tightest_m=0.001")
+    strict.reset(seed=0)
+    drawn = [near_enough(strict) for _ in range(30)]
+    assert 2 < sum(drawn) < 15  # a quarter of the tolerances from 1 to 5 mm let 4 mm pass
+    assert near_enough(strict, tolerance_m=strict.tolerance_m)
+    assert not near_enough(strict, tolerance_m=0.003)
+    assert near_enough(make_env("buffer=adaptive"))
+    with pytest.raises(ValueError, match=r"tightest_m must be .* 0.005"):
+        make_env("tightest_m=0.006")
+
+
 def test_pressing_costs_what_the_reward_says(make_env):
     rewards = {}
     for pressing in (0.0, -10.0):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from importlib import resources
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +18,9 @@ from uarm_rl.task.kinematics import Vector
 from uarm_rl.task.policy import ActorPolicy, PolicyCard, PolicyFileError
 
 _FEED: Final = 20.0
+
+#: The name of the policy that travels with the package.
+DEFAULT_POLICY: Final = "default"
 
 
 def ask(text: str) -> str:
@@ -95,16 +98,20 @@ def task_of(card: PolicyCard, settings: Settings) -> Task:
     )
 
 
-def load_policy(path: Path) -> ActorPolicy:
-    """The policy of a run folder, or in a file.
+def load_policy(name: str) -> ActorPolicy:
+    """The packaged policy (``default``), or that of a run folder, or in a file.
 
     Raises :class:`UsageError` if there is none, and ``PolicyFileError`` for a file that cannot be used.
     """
+    if name == DEFAULT_POLICY:
+        with resources.as_file(resources.files("uarm_rl.real") / "default.safetensors") as packaged:
+            return ActorPolicy.load(packaged)
+    path = checks.path("policy", name)
     file = path / files.POLICY if path.is_dir() else path
     if not file.is_file():
         raise UsageError(
-            f"there is no policy {file}; name the folder of a trained run with --policy (uarm-rl train experiment=real_arm "
-            "makes one for the arm), or try the arm with --policy ik, the inverse-kinematics controller"
+            f"there is no policy {file}; --policy takes {DEFAULT_POLICY}, which comes with the program, the folder of a "
+            "trained run (uarm-rl train experiment=real_arm makes one for the arm), or ik, the inverse-kinematics controller"
         )
     return ActorPolicy.load(file)
 
@@ -125,6 +132,11 @@ def check_policy(card: PolicyCard, max_step_rad: float) -> list[str]:
         warnings.append(
             f"the policy was trained with servo={servo}; this arm moves as servo=stepper does, so expect less of it than of a "
             "policy trained with experiment=real_arm"
+        )
+    if card.cup["name"] == "rigid":
+        warnings.append(
+            "the policy was trained with a rigid cup and may lean on the object instead of stopping above it; what would press "
+            "too deep is raised, so expect it to fail more often than one trained with experiment=real_arm"
         )
     if card.hold["name"] != "until_steady":
         warnings.append("the policy was not trained to wait until the arm is steady; on this arm every decision does")

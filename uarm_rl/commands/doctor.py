@@ -34,7 +34,7 @@ def run(settings: Settings) -> None:
 def _examine(settings: Settings) -> Iterator[Finding]:
     """Findings as they are made: ports, arm, camera, calibration, policy."""
     max_step_rad = limits(settings["limits"]).max_step_rad
-    calibration, policy = checks.path("calibration", settings["calibration"]), checks.path("policy", settings["policy"])
+    calibration, policy = checks.path("calibration", settings["calibration"]), settings["policy"]
     yield from doctor.ports()
     name = None
     try:

@@ -22,6 +22,7 @@ import yaml
 from uarm_rl import checks, signals
 from uarm_rl.checks import UsageError
 from uarm_rl.commands.arm_settings import (
+    DEFAULT_POLICY,
     check_policy,
     check_press,
     feed,
@@ -136,8 +137,10 @@ def _policy_for_the_arm(settings: Settings) -> tuple[Policy, PolicyCard, Path]:
     if settings["policy"] == "ik":
         card = policy_card(compose("train", ("experiment=real_arm", "sim=pybullet")))
         return InverseKinematicsPolicy(card.max_delta_rad), card, Path(settings["results_dir"]) / "ik" / "seed0"
-    path = checks.path("policy", settings["policy"])
-    policy = load_policy(path)
+    policy = load_policy(settings["policy"])
+    if settings["policy"] == DEFAULT_POLICY:
+        return policy, policy.card, Path(settings["results_dir"]) / DEFAULT_POLICY
+    path = Path(settings["policy"])
     return policy, policy.card, path if path.is_dir() else path.parent
 
 

@@ -52,7 +52,8 @@ def _work(position_m: Vector) -> Episode:
 
 
 def _episode(env: UArmSuctionEnv, policy: Policy, position_m: Vector, ghost: bool = False) -> Episode:
-    return run_episode(env, policy, options={"object_position": position_m, "ghost": ghost})
+    options = {"object_position": position_m, "ghost": ghost, "tolerance_m": env.tolerance_m}  # nothing drawn as in training
+    return run_episode(env, policy, options=options)
 
 
 def successes(env: UArmSuctionEnv, policy: Policy, positions_m: Sequence[Vector] | Vector) -> Iterator[bool]:

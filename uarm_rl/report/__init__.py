@@ -8,6 +8,7 @@ Read ``report.py`` first: it assembles all of it. ``records.py`` reads and check
 - ``learning.py``: rewards, learning curves, an arm that shakes beside one that waits
 - ``comparisons.py``: which differences between the methods the data can show
 - ``robustness.py``: other tolerances, positions and holds
+- ``leaning.py``: the same policies with nothing solid to lean on, and with a cup that gives
 - ``engines.py``: the same policies in PyBullet and in MuJoCo
 - ``sample_efficiency.py``: success against what it cost
 - ``ablations.py``: the shorter runs that say why it works

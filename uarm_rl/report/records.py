@@ -78,10 +78,14 @@ SHAKING: Final = {
 
 
 RETURNS: Final = ("common_return", "return")
+#: Columns that say how an arm leans on the object.
+LEANING: Final = {"press_m": ("Pressed (mm)", 1000.0, 1), "contact_n": ("Contact (N)", 1.0, 1)}
+
 EVALUATION: Final = {
     **pick(columns.MEASURED, "position", "success", *RETURNS, *SHAKING),
     **columns.CONDITIONS,
     **columns.SETTLED,
+    **columns.LEANING,
 }
 BUDGETS: Final = ("experiences", "updates", "decisions", "control_steps")
 PROGRESS: Final = pick(columns.PROGRESS, "episode", *BUDGETS, "episode_return", "validation_success_rate")
@@ -204,7 +208,8 @@ def read_evaluations(runs: Runs, file: str = "evaluation.csv") -> dict[str, pd.D
     """The evaluations of every name, which must all have been made on the same positions, each once."""
     evaluations = {name: read_seeds(folders, file, EVALUATION) for name, folders in runs.items()}
     for rows in evaluations.values():
-        rows["engine"] = rows["engine"].replace("", OLDEST_ENGINE)
+        for column, oldest in (("engine", OLDEST_ENGINE), ("object", "solid"), ("cup", "rigid")):
+            rows[column] = rows[column].replace("", oldest)
     check_engines(evaluations)
     paths = {(name, seed_number(folder)): folder / file for name, folders in runs.items() for folder in folders}
     first: tuple[Path, list[int]] | None = None

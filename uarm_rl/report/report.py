@@ -12,6 +12,7 @@ from uarm_rl.report.ablations import ABLATIONS, ablations
 from uarm_rl.report.arm_trials import arm_trials
 from uarm_rl.report.comparisons import comparisons
 from uarm_rl.report.engines import engines
+from uarm_rl.report.leaning import leaning
 from uarm_rl.report.learning import learning, rewards, shaking
 from uarm_rl.report.paper_fit import paper_fit
 from uarm_rl.report.records import PROGRESS, ReportError, command, find_runs, in_engines, methods, read_evaluations, read_seeds
@@ -49,6 +50,7 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
         tolerance(results_dir, shown, runs, evaluations),
         held_out(results_dir, shown, runs, evaluations),
         holds(results_dir, shown, runs, evaluations),
+        leaning(results_dir, shown, runs, evaluations),
         engines(results_dir, methods(found), runs, evaluations),
         ablations(results_dir, usual),
         arm_trials(results_dir),

@@ -1,4 +1,4 @@
-"""Table 1: the success of every method beside the paper's, and how restless its arm is."""
+"""Table 1: the success of every method beside the paper's, how restless its arm is, and how it leans on the object."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import Any, Final
 import pandas as pd
 
 from uarm_rl.report import tables
-from uarm_rl.report.records import METHODS, SHAKING, Method, Runs, command, read_paper
+from uarm_rl.report.records import LEANING, METHODS, SHAKING, Method, Runs, command, read_paper
 from uarm_rl.report.tables import Section
 
+_FURTHER: Final = {**SHAKING, **LEANING}
 CAPTION: Final = (
     "Success: share of the test positions, mean over seeds; its interval is Wilson's for one seed, a bootstrap over "
-    "seeds and positions for several. The columns after the paper's success are means over seeds and positions."
+    "seeds and positions for several. The columns after the paper's success are means over seeds and positions; pressed and "
+    "contact: of the deepest point and the largest force of each episode."
 )
 _HEADINGS: Final = (
     "Method",
@@ -23,7 +25,7 @@ _HEADINGS: Final = (
     "Seeds",
     "Success (95 % interval)",
     "Paper",
-    *(row[0] for row in SHAKING.values()),
+    *(row[0] for row in _FURTHER.values()),
 )
 _LABELS: Final = {method.folder: method.label for method in METHODS}  # in the paper
 
@@ -48,7 +50,7 @@ def _row(method: Method, rows: pd.DataFrame, paper: Mapping[str, float]) -> dict
         "reward": method.reward,
         **tables.success(rows),
         "paper_success_rate": paper.get(_LABELS.get(method.folder, method.label), float("nan")),
-        **rows[[*SHAKING]].mean(),
+        **rows[[*_FURTHER]].mean(),
     }
 
 
@@ -62,7 +64,7 @@ def _cells(row: Mapping[str, Any], *, trained: int) -> list[str]:
         "-" if not trained else str(evaluated) if evaluated == trained else f"{evaluated} of {trained}",
         tables.success_text(row),
         tables.percent(row["paper_success_rate"]),
-        *(f"{row[column] * factor:.{decimals}f}" if evaluated else "-" for column, (_, factor, decimals) in SHAKING.items()),
+        *(tables.number(row[column] * factor, decimals) for column, (_, factor, decimals) in _FURTHER.items()),
     ]
 
 

@@ -89,6 +89,11 @@ def percent(rate: float, unit: str = " %") -> str:
     return "-" if math.isnan(rate) else f"{round(100.0 * rate, 1):g}{unit}"
 
 
+def number(value: float, decimals: int) -> str:
+    """A number for readers, ``-`` if it is not known."""
+    return "-" if math.isnan(value) else f"{value:.{decimals}f}"
+
+
 def success_text(row: Mapping[str, Any]) -> str:
     """``success`` in one cell: ``97 % (91.5 to 99 %)``."""
     rate, low, high = row["success_rate"], row["ci_low"], row["ci_high"]

@@ -10,7 +10,8 @@ from uarm_rl import checks
 
 _RETURN_S: Final = 0.02  # silicone comes back within a few hundredths of a second
 _FASTEST_M_S: Final = 0.5
-_HANGS_N: Final = 20.0  # stretched out it is stiff, whatever hangs from it
+_BY_ITSELF_N: Final = 0.3  # its own weight ten times: uncompressed it is where it belongs and pushes nothing
+_STRETCHED_N_M: Final = 2e4  # stretched out it is stiff: what it can hold stretches it by half a millimetre
 _STOP: Final = 10.0  # folds that lie on each other are so much stiffer
 
 
@@ -36,7 +37,7 @@ class Bellows:
         """Velocity (m/s, negative: outwards) that the lip is driven with, and the force (N) that it has for that."""
         velocity = min(max(-compression_m / _RETURN_S, -_FASTEST_M_S), _FASTEST_M_S)
         if compression_m <= 0.0:  # stretched out
-            return velocity, _HANGS_N
+            return velocity, _BY_ITSELF_N - _STRETCHED_N_M * compression_m
         beyond_m = max(0.0, compression_m - self.travel_m)
         return velocity, self.stiffness_n_m * (compression_m + _STOP * beyond_m)
 

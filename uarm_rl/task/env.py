@@ -44,7 +44,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one), ``home`` (default
     true; false leaves the arm where it is and only places a new object) and, with ``home``, ``ghost`` (whether the target is
-    told and nothing solid is there; default: a ``ghost_share`` of the episodes).
+    told and nothing solid is there; default: a ``ghost_share`` of the episodes) and ``tolerance_m`` (default: drawn between
+    ``tightest_m`` and ``tolerance_m``, where the former is given).
 
     ``info`` has the same keys after ``reset`` and ``step``: ``is_success``, ``distance_m``, ``object_position`` (3,),
     ``control_steps`` of the decision, ``clipped`` (the reference was cut at a limit), ``travel_rad`` (largest joint difference
@@ -81,6 +82,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         keep_within: bool = False,
         observation: PaperObservation | None = None,
         actions: str = "joint",
+        tightest_m: float | None = None,
         render_mode: str | None = None,
         render_modes: Sequence[str] = (),
         take_picture: Callable[[], NDArray[np.uint8]] | None = None,
@@ -97,7 +99,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._observation = observation or PaperObservation()
         self._actions = checks.one_of("actions", actions, ACTIONS)
         self._max_delta_rad = checks.number("max_delta_rad", max_delta_rad, low=0.0, high=math.pi, open_low=True)
-        self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
+        self.tolerance_m = self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
+        self._tightest_m = None
+        if tightest_m is not None:
+            self._tightest_m = checks.number("tightest_m", tightest_m, low=0.0, high=tolerance_m, open_low=True)
         self._dwell_steps = dwell_steps(dwell_s, control_hz)
         self._step_limit = math.inf
         if time_limit_s is not None:
@@ -118,11 +123,14 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         super().reset(seed=seed)
         options = options or {}
-        if unknown := set(options) - {"object_position", "home", "ghost"}:
-            raise ValueError(f"reset has no option {sorted(unknown)[0]!r}; it takes object_position, home and ghost")
+        if unknown := set(options) - {"object_position", "home", "ghost", "tolerance_m"}:
+            raise ValueError(
+                f"reset has no option {sorted(unknown)[0]!r}; it takes object_position, home, ghost and tolerance_m"
+            )
         if options.get("home", True):
             self.arm.home()
             self.target = self._ghost if self._is_ghost(options.get("ghost")) else self._solid
+            self._tolerance_m = self._tolerance(options.get("tolerance_m"))
         self._joints = self.arm.read_joints()
         self._link_ends = kinematics.forward(self._joints)
         if options.get("home", True) or self.arm.at_rest:  # else the arm is still doing what it was told before
@@ -144,6 +152,12 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if wanted is None:
             return self._ghost_share > 0.0 and bool(self.np_random.random() < self._ghost_share)
         return checks.boolean("ghost", wanted)
+
+    def _tolerance(self, wanted: float | None) -> float:
+        if wanted is None and self._tightest_m is not None:
+            low, high = math.log(self._tightest_m), math.log(self.tolerance_m)
+            return math.exp(self.np_random.uniform(low, high))
+        return self.tolerance_m if wanted is None else checks.number("tolerance_m", wanted, low=0.0, high=0.1, open_low=True)
 
     def _place(self, wanted: Any) -> tuple[float, float, float]:
         if wanted is None:

@@ -43,8 +43,8 @@ class Policy(Protocol):
 class PolicyCard:
     """What a policy file says of itself: how the policy is to be run, and how it was trained.
 
-    ``hold``, ``servo`` and ``observation`` are configuration groups, chosen by their ``name``; lengths in metres, angles in
-    radians. What is as it always was is not written, so that older versions read what they can run.
+    ``hold``, ``servo``, ``cup`` and ``observation`` are configuration groups, chosen by their ``name``; lengths in metres,
+    angles in radians. What is as it always was is not written, so that older versions read what they can run.
     """
 
     max_delta_rad: float
@@ -59,13 +59,14 @@ class PolicyCard:
     seed: int
     observation: dict[str, Any] = field(default_factory=lambda: {"name": "paper"})
     actions: str = "joint"  # what they are relative to
+    cup: dict[str, Any] = field(default_factory=lambda: {"name": "rigid"})
 
     def __post_init__(self) -> None:
         checks.number("max_delta_rad", self.max_delta_rad, low=0.0, high=math.pi, open_low=True)
         checks.integer("control_hz", self.control_hz, low=1)
         checks.number("tolerance_m", self.tolerance_m, low=0.0, open_low=True)
         checks.number("dwell_s", self.dwell_s, low=0.0)
-        for group in ("hold", "servo"):
+        for group in ("hold", "servo", "cup"):
             checks.text(f"{group}.name", checks.mapping(group, getattr(self, group)).get("name"))
         for name in ("buffer", "reward"):
             checks.text(name, getattr(self, name))
