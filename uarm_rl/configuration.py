@@ -273,10 +273,9 @@ def _near(name: str, command: str) -> str:
     if having:
         return f"; it belongs to {' and '.join(f'{group}={choice}' for choice in having)}."
     choices_of = groups_of(command)
-    if chosen := [f"{group}={name}" for group, names in choices_of.items() if name in names]:
-        return f"; did you mean {chosen[0]}?"
     known = [*choices_of, *flat(compose(command, incomplete=True))]
     same = [other for other in known if other.rpartition(".")[2] == name]
+    same += [f"{group}={name}" for group, names in choices_of.items() if name in names]
     return f"; did you mean {same[0]}?" if same else did_you_mean(name, known)
 
 

@@ -63,7 +63,7 @@ def test_every_experiment_buffer_and_sim_makes_an_environment(choice):
     settings = configuration.compose("train", (f"{group}={choice}",))
     env = configuration.build_env(settings, time_limit_s=settings["time_limit_s"])
     env.reset(seed=0)
-    assert env.step(np.zeros(3, np.float32))[4]["control_steps"] >= 1
+    assert env.step(np.zeros(env.action_space.shape, np.float32))[4]["control_steps"] >= 1
     env.close()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import subprocess
 import sys
 
@@ -46,9 +47,9 @@ def test_without_pybullet_an_evaluation_says_its_engine(tmp_path, without):
     words = ("evaluate", "policy=ik", "positions=where.csv", "out=where-ik.csv", "results_dir=r")
     done = uarm_rl(*words, cwd=tmp_path, environment=without("pybullet"))
     assert NOTE in done.stderr
-    header, row = (tmp_path / "r" / "ik" / "seed0" / "where-ik.csv").read_text().splitlines()
-    assert dict(zip(header.split(","), row.split(","), strict=False))["success"] == "1"
-    assert (header.split(",")[-1], row.split(",")[-1]) == ("engine", "mujoco")
+    with open(tmp_path / "r" / "ik" / "seed0" / "where-ik.csv", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert (row["success"], row["engine"]) == ("1", "mujoco")
 
 
 @needs_mujoco

@@ -57,7 +57,7 @@ def test_a_policy_of_every_kind_is_trained_tested_filmed_and_judged_for_the_arm(
         with pytest.raises(PolicyFileError, match=f"{refused}.*; take a policy that does without"):
             check_policy(policy.card, 0.25)
     else:
-        assert len(check_policy(policy.card, 0.25)) == 2  # another servo, and no waiting
+        assert len(check_policy(policy.card, 0.25)) == 3  # another servo, a rigid cup, and no waiting
     if kind in ("absolute", "learned"):
         with pytest.raises(UsageError, match="policy=ik moves relative to the current joints"):
             configuration.load_policy(run, "ik", settings)
