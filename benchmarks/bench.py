@@ -36,7 +36,7 @@ import torch
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
 import uarm_rl
-from uarm_rl import configuration
+from uarm_rl import configuration, trained
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure
 from uarm_rl.learn import checkpoint
@@ -163,7 +163,7 @@ def bench_update(rounds: int) -> Iterator[Row]:
         yield from compare(
             "one update against its products", "1/s", {name: rates[name] for name in ("ours", "floor")}, "> 0.56"
         )
-        policy = agent.policy(configuration.policy_card(configuration.compose("train")))
+        policy = agent.policy(trained.policy_card(configuration.compose("train")))
         seen = np.random.default_rng(0).normal(0, 0.1, observation.SIZE).astype(np.float32)
         rates = alternate(
             rounds,
@@ -246,7 +246,7 @@ class OurTraining:
         self.learner = Learner(
             env=env_class(partial(configuration.build_env, settings, time_limit_s=None), seed),
             agent=agent,
-            policy=agent.policy(configuration.policy_card(settings)),
+            policy=agent.policy(trained.policy_card(settings)),
             replay=ReplayBuffer(
                 300_000, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(seed)
             ),

@@ -90,7 +90,8 @@ def trials_of(name: str, count: int, point: tuple[str, float, int]) -> list[dict
         except ArmError as error:
             rows += [{"success": False, "reason": str(error), "pull_ups": 0}] * (count - len(rows))
         hurt = {"lost_deg": max(map(abs, place.world.lost_deg)), "hard_presses": place.world.hard_presses}
-    return [{"sweep": sweep, "value": value, "arm": seed, **row, **hurt} for row in rows]
+    rows[0] |= hurt  # of all of the arm's trials
+    return [{"sweep": sweep, "value": value, "arm": seed, **row} for row in rows]
 
 
 def workers(place: Workplace, policy: ActorPolicy, told_too_high_m: float) -> tuple[SwiftArm, ActorPolicy, CameraSearch, Task]:

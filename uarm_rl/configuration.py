@@ -1,4 +1,4 @@
-"""From configuration to objects: what is composed from ``conf/`` or read from a run becomes what it describes.
+"""From configuration to objects: what is composed from ``conf/`` becomes what it describes.
 
 The command line is the only caller; below it everything takes plain arguments. Classes are chosen by name from the
 open sets, never by a dotted path in a file: the configuration in a downloaded run is data, not code.
@@ -7,18 +7,15 @@ open sets, never by a dotted path in a file: the configuration in a downloaded r
 from __future__ import annotations
 
 import inspect
-import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib import import_module, resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uarm_rl import checks, files
+from uarm_rl import checks
 from uarm_rl.checks import UsageError, did_you_mean
-from uarm_rl.files import CONFIG, POLICY
 from uarm_rl.sim import engines
 
 if TYPE_CHECKING:
@@ -26,7 +23,6 @@ if TYPE_CHECKING:
 
     from uarm_rl.sim.simulated_arm import SimulatedArm
     from uarm_rl.task.env import UArmSuctionEnv
-    from uarm_rl.task.policy import Policy, PolicyCard
 
 Settings = dict[str, Any]
 
@@ -307,124 +303,3 @@ def flat(settings: Mapping[str, Any]) -> dict[str, Any]:
         else:
             values[key] = value
     return values
-
-
-# What was trained
-
-
-def value_range(settings: Settings) -> tuple[float, float]:
-    """Lowest and highest value that a state can have: a step's reward at its bounds, for ever."""
-    from uarm_rl.task.kinematics import HEIGHT_M, REACH_M
-
-    gamma = settings["agent"]["gamma"]  # per control step too: a decision may take no more than one
-    horizon = 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
-    lowest, highest = build("reward", settings["reward"]).bounds(2.0 * REACH_M, HEIGHT_M)
-    return lowest * horizon, highest * horizon
-
-
-def policy_card(settings: Settings) -> PolicyCard:
-    """What a policy that is trained with these settings says of itself."""
-    from uarm_rl.task.policy import PolicyCard
-
-    return PolicyCard(
-        **{
-            key: settings[key]
-            for key in ("max_delta_rad", "control_hz", "servo", "cup", "tolerance_m", "dwell_s", "episodes", "seed")
-            + ("observation", "actions")
-        },
-        hold=settings["buffer"]["hold"],
-        buffer=settings["buffer"]["name"],
-        reward=settings["reward"]["name"],
-    )
-
-
-_MAX_CONFIG_BYTES: Final = 1 << 20
-
-#: Settings that older versions had and that never did anything.
-_RETIRED: Final = {"sim": ("cup_stiffness_n_m", "cup_damping_n_s_m")}
-
-
-def read_run(run_dir: Path) -> Settings:
-    """The configuration that a run was trained with; what an older version did not have yet has its default.
-
-    Raises :class:`UsageError` if the folder holds no run.
-    """
-    settings = read_yaml(run_dir / CONFIG)
-    needed = ("sim", "servo", "reward", "buffer", "control_hz", "max_delta_rad", "tolerance_m", "dwell_s", "time_limit_s")
-    if missing := [key for key in needed if key not in settings]:
-        raise UsageError(f"{run_dir / CONFIG} lacks {missing[0]}; it was not written by uarm-rl train")
-    for group in ("sim", "servo", "reward", "buffer"):
-        checks.mapping(group, settings[group])
-    checks.number("time_limit_s", settings["time_limit_s"], low=0.0, open_low=True)
-    for group, retired in _RETIRED.items():
-        settings[group] = {key: value for key, value in settings[group].items() if key not in retired}
-    settings["sim"].setdefault("name", "pybullet")  # the only engine that older versions had
-    names = {group: value.get("name") for group, value in settings.items() if isinstance(value, Mapping)}
-    chosen = tuple(f"{group}={name}" for group, name in sorted(names.items()) if name in choices(group))
-    return _merged(_defaults(chosen), settings)
-
-
-def in_engine(settings: Settings, sim: Mapping[str, Any] | None) -> Settings:
-    """A run's settings in another engine, if one is given; the object stays the same."""
-    kept = {key: settings["sim"][key] for key in ("object_size_m", "object_mass_kg")}
-    return settings | {"sim": {**sim, **kept}} if sim else settings
-
-
-def read_yaml(path: Path) -> Settings:
-    """A mapping from a YAML file that may come from anywhere: no tags, no aliases, no depths."""
-    import yaml
-
-    if not path.parent.is_dir():
-        raise UsageError(f"there is no run folder {path.parent}; a run is results/NAME/seedN, made by uarm-rl train")
-    try:
-        text = files.read(path, at_most=_MAX_CONFIG_BYTES).decode()
-        depth = 0
-        for event in yaml.parse(text, yaml.SafeLoader):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if isinstance(event, yaml.AliasEvent) or depth > 20:
-                raise UsageError(f"{path} refers to its own parts or is nested too deeply; uarm-rl writes no such file")
-        return checks.mapping("it", yaml.safe_load(text))
-    except FileNotFoundError:
-        raise UsageError(f"{path.parent} holds no {path.name}; a run is results/NAME/seedN, made by uarm-rl train") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UsageError(f"{path} is damaged: {' '.join(str(error).split())}") from None
-
-
-@cache
-def _defaults(chosen: tuple[str, ...]) -> Settings:
-    return compose("train", chosen)
-
-
-def _merged(defaults: Settings, settings: Settings) -> Settings:
-    """``settings`` over ``defaults``; a group of another name is taken as it is, since its keys are others."""
-    merged = defaults | settings
-    for key, value in settings.items():
-        default = defaults.get(key)
-        if (
-            isinstance(value, dict)
-            and isinstance(default, dict)
-            and value.get("name", default.get("name")) == default.get("name")
-        ):
-            merged[key] = _merged(default, value)
-    return merged
-
-
-def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
-    """The policy of a run, or with the name ``ik`` the controller. Raises :class:`UsageError` if there is none that fits."""
-    from uarm_rl.task.policy import ActorPolicy, InverseKinematicsPolicy
-
-    if name == "ik":
-        if settings["actions"] != "joint" or settings["buffer"]["hold"]["name"] == "learned":
-            raise UsageError(
-                "policy=ik moves relative to the current joints and leaves the hold alone; this run has other actions"
-            )
-        return InverseKinematicsPolicy(settings["max_delta_rad"])
-    if name is not None:
-        raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give policy=ik")
-    if not (run_dir / POLICY).exists():
-        raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
-    policy = ActorPolicy.load(run_dir / POLICY)
-    own = {"observation": policy.card.observation, "actions": policy.card.actions}
-    if changed := checks.differences({key: settings[key] for key in own}, own):
-        raise UsageError(f"{run_dir / POLICY} is not of this run: the run has {', '.join(changed)}")
-    return policy

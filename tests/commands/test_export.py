@@ -14,9 +14,10 @@ import yaml
 from tests.conftest import uarm_rl
 from tests.report import runs
 from uarm_rl import cli
-from uarm_rl.configuration import compose, policy_card
+from uarm_rl.configuration import compose
 from uarm_rl.task import kinematics, observation
 from uarm_rl.task.policy import ActorPolicy
+from uarm_rl.trained import policy_card
 
 pytest.importorskip("onnx")
 

@@ -16,7 +16,7 @@ import yaml
 
 from tests.conftest import needs_pybullet
 from tests.hostile import files, play, words
-from uarm_rl import checks, cli, configuration
+from uarm_rl import checks, cli, configuration, trained
 from uarm_rl.checks import UsageError
 from uarm_rl.commands import COMMANDS
 
@@ -53,7 +53,7 @@ def test_a_hostile_value_in_a_run_is_refused_or_does_no_harm(tmp_path):
             place[key] = value
             (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
             try:
-                read = configuration.read_run(tmp_path)
+                read = trained.read_run(tmp_path)
                 env = configuration.build_env(read, time_limit_s=read["time_limit_s"])
             except (ValueError, UsageError):
                 refused += 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import FAST, needs_mujoco
-from uarm_rl import checks, configuration, load_policy, make_env
+from uarm_rl import checks, configuration, load_policy, make_env, trained
 from uarm_rl.checks import UsageError
 from uarm_rl.commands import evaluate, render, train
 from uarm_rl.commands.arm_settings import check_policy
@@ -60,7 +60,7 @@ def test_a_policy_of_every_kind_is_trained_tested_filmed_and_judged_for_the_arm(
         assert len(check_policy(policy.card, 0.25)) == 3  # another servo, a rigid cup, and no waiting
     if kind in ("absolute", "learned"):
         with pytest.raises(UsageError, match="policy=ik moves relative to the current joints"):
-            configuration.load_policy(run, "ik", settings)
+            trained.load_policy(run, "ik", settings)
     capsys.readouterr()
 
 
@@ -74,9 +74,7 @@ def test_in_the_other_engine_too(tmp_path, capsys):
 
 
 def test_a_card_says_no_more_than_what_is_not_as_it_always_was(tmp_path):
-    plain, other = (
-        configuration.policy_card(configuration.compose("train", words)) for words in ((), ("observation=velocity",))
-    )
+    plain, other = (trained.policy_card(configuration.compose("train", words)) for words in ((), ("observation=velocity",)))
     assert {"observation", "actions"} & plain.written().keys() == set()  # an older version reads it
     assert plain.read(plain.written()) == plain
     assert other.written()["observation"] == {"name": "velocity"}
@@ -87,7 +85,7 @@ def test_a_card_says_no_more_than_what_is_not_as_it_always_was(tmp_path):
         ActorPolicy.load(tmp_path / "p.safetensors")
     ActorPolicy(layers, offset=ones, scale=ones, card=plain).save(tmp_path / "policy.safetensors")
     with pytest.raises(UsageError, match="is not of this run: the run has observation=velocity, not paper"):
-        configuration.load_policy(tmp_path, None, configuration.compose("train", ("observation=velocity",)))
+        trained.load_policy(tmp_path, None, configuration.compose("train", ("observation=velocity",)))
 
 
 def test_what_lies_within_a_decision_is_of_the_present_alone():

@@ -40,8 +40,8 @@ class Watch:
     def judge(self, event: str, arguments: tuple[Any, ...], frame: FrameType) -> str | None:
         """Why an event is forbidden; ``None`` if it is not."""
         caller = frame.f_code.co_filename
-        if event == "subprocess.Popen" and arguments[0] == "/sbin/ldconfig":
-            return None  # ctypes looks for a library, EGL for MuJoCo's pictures
+        if event in ("subprocess.Popen", "os.posix_spawn") and arguments[0] == "/sbin/ldconfig":
+            return None  # ctypes looks for a library: EGL for MuJoCo's pictures, CUDA's for torch
         if event in _NEVER:
             return f"{arguments!r} from {caller}"
         if event in ("exec", "compile"):

@@ -20,7 +20,7 @@ from typing import Any
 
 from uarm_rl import checks, columns, csvfile, files, workers
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, compose, in_engine, load_policy, read_run
+from uarm_rl.configuration import Settings, build, build_env, compose
 from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import Row, measure, settled_distance_m, trace_rows
@@ -29,6 +29,7 @@ from uarm_rl.progress import shown
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
 from uarm_rl.task.env import dwell_steps
+from uarm_rl.trained import in_engine, load_policy, read_run
 
 log = logging.getLogger(__name__)
 

@@ -13,9 +13,10 @@ from pathlib import Path
 
 from uarm_rl import checks, files
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, load_policy, read_run
+from uarm_rl.configuration import Settings
 from uarm_rl.export import model_card, onnx_model
 from uarm_rl.task.policy import ActorPolicy
+from uarm_rl.trained import load_policy, read_run
 
 
 def run(settings: Settings) -> None:

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from uarm_rl import checks, workers
-from uarm_rl.configuration import Settings, build_env, in_engine, load_policy, read_run
+from uarm_rl.configuration import Settings, build_env
 from uarm_rl.evaluation.film import check_film, film, write_film
 from uarm_rl.sim.simulated_arm import SimulatedArm
+from uarm_rl.trained import in_engine, load_policy, read_run
 
 
 def run(settings: Settings) -> None:

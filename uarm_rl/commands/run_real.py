@@ -33,7 +33,7 @@ from uarm_rl.commands.arm_settings import (
     target,
     task_of,
 )
-from uarm_rl.configuration import Settings, build, compose, policy_card, read_yaml
+from uarm_rl.configuration import Settings, build, compose
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
 from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.motion import KinematicJoints
@@ -46,6 +46,7 @@ from uarm_rl.real.trials import GivenTarget, ObjectNotFoundError, RandomTargets,
 from uarm_rl.report.statistics import wilson_interval
 from uarm_rl.task import kinematics
 from uarm_rl.task.policy import InverseKinematicsPolicy, Policy, PolicyCard
+from uarm_rl.trained import policy_card, read_yaml
 
 log = logging.getLogger(__name__)
 

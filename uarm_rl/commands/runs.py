@@ -18,9 +18,10 @@ from itertools import groupby
 from uarm_rl import checks
 from uarm_rl.checks import UsageError
 from uarm_rl.commands.errors import printable
-from uarm_rl.configuration import Settings, read_run
+from uarm_rl.configuration import Settings
 from uarm_rl.report import tables
 from uarm_rl.report.inventory import STATES, Run, inventory, stale_table
+from uarm_rl.trained import read_run
 
 
 def run(settings: Settings) -> None:

@@ -23,7 +23,7 @@ import torch
 
 from uarm_rl import checks, workers
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, flat, policy_card, read_run, value_range
+from uarm_rl.configuration import Settings, build, build_env, flat
 from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import run as session
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
@@ -33,6 +33,7 @@ from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule
 from uarm_rl.task import positions
 from uarm_rl.task.env import ACTION_SIZE
+from uarm_rl.trained import policy_card, read_run, value_range
 
 #: Settings that say how a run is carried out, not what comes of it; they are not kept with it.
 _TRANSIENT: Final = ("resume", "overwrite", "results_dir", "simulate_beside", "logger")
