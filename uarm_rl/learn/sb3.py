@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -110,7 +111,7 @@ class Goals(gymnasium.Wrapper[Any, Any, Any, Any]):
         return parts, reward, terminated, truncated, info
 
 
-class _Learner:
+class _Learner(ABC):
     """A model's settings, and how it is made: the choices of the group ``agent`` whose names begin with ``sb3_``."""
 
     def __init__(self, *, hidden: Sequence[int], gamma: float, tau: float, learning_rate: float) -> None:
@@ -121,9 +122,9 @@ class _Learner:
             "learning_rate": checks.number("agent.learning_rate", learning_rate, low=0.0, high=1.0, open_low=True),
         }
 
+    @abstractmethod
     def model(self, env: Env, schedule: Schedule, *, seed: int, capacity: int, tolerance_m: float) -> OffPolicyAlgorithm:
         """The library's model, untrained."""
-        raise NotImplementedError
 
     def _arguments(self, seed: int, capacity: int, schedule: Schedule) -> dict[str, Any]:
         total = schedule.episodes * schedule.experiences_per_episode
