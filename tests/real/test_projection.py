@@ -219,6 +219,18 @@ def test_a_threshold_that_makes_the_outline_wider_does_not_move_the_box():
     wider = outline + 1.5 * (outline - middle) / np.linalg.norm(outline - middle, axis=1)[:, None]
     box, again = (locate_box(points, PHOTO, NOMINAL) for points in (outline, wider))
     assert math.dist(box.top_m, again.top_m) < 5e-4
+    assert box.scale == pytest.approx(1.0, abs=0.03)
+    assert 1.02 < again.scale < 1.1
+
+
+@given(st.floats(0.5, 2.0), st.floats(0.0, math.pi))
+@settings(max_examples=20, deadline=None)
+def test_the_scale_is_how_many_times_as_wide_as_told_the_object_is(times, yaw):
+    flat = (0.03, 0.03, 0.001)  # of something flat the outline grows as it does
+    told = (0.03 / times, 0.03 / times, 0.001)
+    top = pixel_to_base((220.0, 160.0), PHOTO, NOMINAL, 0.001)
+    outline = RED.detect(draw_box(PHOTO, NOMINAL, top, yaw, flat)).outline_px
+    assert locate_box(outline, PHOTO, NOMINAL, told).scale == pytest.approx(times, rel=0.06)
 
 
 @given(st.lists(pixels, min_size=3, max_size=20), st.floats(0.01, 0.05))

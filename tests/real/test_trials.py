@@ -223,7 +223,7 @@ def workplace(*overrides):
     return emulate.Workplace(**{key: value for key, value in settings.items() if key not in ("results_dir", "speed")})
 
 
-def look_for_it(place, detector=None, whole_object=True):
+def look_for_it(place, detector=None, whole_object=True, size_m=(0.03, 0.03, 0.03)):
     """The search with the workplace's camera, and an arm; both on ports in memory."""
     port = MemoryPort(place.camera)
     camera = OpenMVCamera(port, clock=port.clock)
@@ -232,7 +232,7 @@ def look_for_it(place, detector=None, whole_object=True):
         camera,
         detector or configuration.build("detector", colour),
         nominal(),
-        object_size_m=(0.03, 0.03, 0.03),
+        object_size_m=size_m,
         whole_object=whole_object,
     )
     place.arm_port = port = MemoryPort(place.firmware)
@@ -267,11 +267,19 @@ def test_a_marker_is_the_middle_of_the_top(look):
         assert sighting.target_m == pytest.approx((0.24, 0.06, 0.03), abs=0.001)
 
 
-def test_something_of_another_shape_is_not_taken_for_the_object():
+@pytest.mark.parametrize(
+    ("size_m", "words"),
+    [
+        ((0.12, 0.02, 0.03), r"has not the shape of the object|cannot be in view"),
+        ((0.06, 0.06, 0.03), r"is 5\d% as wide as an object of 60 x 60 x 30 mm; give its true size"),
+        ((0.035, 0.035, 0.03), r"is 8\d% as wide as an object of 35 x 35 x 30 mm"),
+        ((0.025, 0.025, 0.03), r"is 1[12]\d% as wide as an object of 25 x 25 x 30 mm"),
+    ],
+)
+def test_what_contradicts_the_size_of_the_object_is_not_taken_for_it(size_m, words):
     with workplace("realism=none", "object_position=[0.24,0.06,0.03]") as place:
-        arm, search = look_for_it(place)
-        search._size_m = (0.12, 0.02, 0.03)
-        with arm, pytest.raises(ObjectNotFoundError, match=r"has not the shape of the object|cannot be in view"):
+        arm, search = look_for_it(place, size_m=size_m)
+        with arm, pytest.raises(ObjectNotFoundError, match=words):
             search.find(arm, None)
 
 

@@ -33,6 +33,7 @@ _SECOND_LOOK_M: Final = 0.14  # height of the cup, from which it draws back the 
 _ASIDE_DEG: Final = (0, 4, 8, 12, 16)
 _SETTLE_S: Final = 0.2  # the arm swings a little after it has stopped
 _MAX_MISFIT_PX: Final = 4.0
+_MAX_WIDER: Final = 0.12  # of the object's outline; a cube told 5 mm too wide or too narrow is off by 15 %
 
 
 class CameraSearch:
@@ -122,6 +123,12 @@ class CameraSearch:
             raise TargetNotFoundError(
                 f"what is seen has not the shape of the object (it misses by {box.misfit_px:.1f} px); check object_size_m, "
                 "the detector and the calibration"
+            )
+        if abs(box.scale - 1.0) > _MAX_WIDER:
+            length, width, height = (1000.0 * side for side in self._size_m)
+            raise TargetNotFoundError(
+                f"what is seen is {100.0 * box.scale:.0f}% as wide as an object of {length:g} x {width:g} x {height:g} mm; give its true "
+                "size with object_size_m=[length,width,height] in metres, or check the detector and the calibration"
             )
         return box.top_m, box.misfit_px, picture
 

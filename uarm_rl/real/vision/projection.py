@@ -77,12 +77,14 @@ class Box:
 
     ``misfit_px`` is the RMS distance between its outline and the one seen, an even difference all around left out. It is
     0.3 to 0.6 px for a box seen whole; with 2 px and more it is another shape, or partly hidden or in shadow, and its
-    place may be wrong by millimetres.
+    place may be wrong by millimetres. ``scale`` is that even difference: how many times as wide as a box of the told size
+    what is seen is, 1 but for what thresholds add or take at its edge.
     """
 
     top_m: Array  # centre of the upper surface, shape (3,), base frame
     yaw_rad: float  # from the base's x to the box's; within a quarter turn if its base is square, else a half turn
     misfit_px: float
+    scale: float
 
 
 def locate_box(
@@ -127,7 +129,7 @@ def locate_box(
         off -= off.mean() if np.isfinite(off).all() else 0.0
         return float(np.sqrt(np.mean(off**2))), off
 
-    best, best_misfit = None, math.inf
+    best, best_misfit, scale = None, math.inf, math.nan
     for corners in (whole, top):
         for yaw in np.arange(0.0, math.pi / 2.0 if square else math.pi, math.pi / 8.0):
             place = np.array([start[0], start[1], yaw])
@@ -142,14 +144,14 @@ def locate_box(
                     break
                 place, (error, off) = place + step, nearer
             if error < best_misfit:
-                best, best_misfit = place, error
+                best, best_misfit, scale = place, error, float(seen_reach.mean() / reach(corners, place).mean())
     if best is None:
         raise ValueError(
             f"a box of {_sizes_mm(size_m)} mm on a table at {1000.0 * table_m:.1f} mm cannot be in view of the camera at "
             f"{1000.0 * transform[2, 3]:.1f} mm; check the object's size and the pose of the arm"
         )
     x_m, y_m, yaw_rad = best.tolist()
-    return Box(np.array([x_m, y_m, table_m + height]), yaw_rad % (math.pi / 2.0 if square else math.pi), best_misfit)
+    return Box(np.array([x_m, y_m, table_m + height]), yaw_rad % (math.pi / 2.0 if square else math.pi), best_misfit, scale)
 
 
 def _sizes_mm(size_m: Sequence[float]) -> str:
