@@ -64,7 +64,7 @@ class ArmView:
             position=(deep / 2.0 - _BEHIND_M, 0.0, -_TABLE_THICK_M / 2.0),
         )
         if title:
-            scene.add_label(f"{name}/title", title, position=(0.0, 0.0, 0.36), anchor="bottom-center")
+            scene.add_label(f"{name}/title", title, position=(0.0, 0.0, 0.36), anchor="bottom-center", font_screen_scale=1.5)
         self._urdf = yourdfpy.URDF.load(str(urdf()))
         self._arm = ViserUrdf(server, self._urdf, root_node_name=name)
         self._object = scene.add_box(f"{name}/object", colour(OBJECT_COLOUR), (object_size_m,) * 3, visible=False)
