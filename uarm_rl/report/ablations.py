@@ -135,16 +135,16 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
                 table = table.sort_values([question.swept, "buffer"], ascending=question.swept != "sigma", kind="stable")
             found[name] = table
             section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question, found[name], curves)
-    for name, file in _CHOICES.items():
-        if name in found and len(choice := _choice(found[name], progress)):
-            section.contents[f"{ABLATIONS}/{file}.csv"] = tables.csv(choice)
-            section.contents[f"{ABLATIONS}/{file}.md"] = _choice_document(choice)
     if found:
         stacked = pd.concat([table.assign(question=name) for name, table in found.items()])
         section.contents[f"{ABLATIONS}/ablations.csv"] = tables.csv(stacked[["question", *stacked.columns.drop("question")]])
         section.contents[f"{ABLATIONS}/ablations.md"] = _document(found)
         learning = pd.concat(curve.assign(run=run) for run, curve in curves.items())
         section.contents[f"{ABLATIONS}/learning_curves.csv"] = tables.csv(learning[["run", *learning.columns.drop("run")]])
+    for name, file in _CHOICES.items():
+        if name in found and len(choice := _choice(found[name], progress)):
+            section.contents[f"{ABLATIONS}/{file}.csv"] = tables.csv(choice)
+            section.contents[f"{ABLATIONS}/{file}.md"] = _choice_document(choice)
     return section
 
 
@@ -256,7 +256,7 @@ def _choice_document(choice: pd.DataFrame) -> Document:
         f"Success on the validation positions, mean of the last {_LAST_VALIDATIONS} validations of each run. "
         "The score is the mean of both methods; its standard error is over seeds."
     )
-    return Document(Table(headings, cells), words)
+    return Document(Table(headings, cells, title="Both methods with each setting, on the validation positions"), words)
 
 
 def _picture(question: Question, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> Picture:

@@ -43,10 +43,11 @@ def _section(section: Section, name: str) -> Iterator[str]:
     """The HTML of a section: figures, what its Markdown files say, numbers that only a CSV file has, what the page adds."""
     pictures = {Path(file).name: one for file, one in section.contents.items() if isinstance(one, Picture)}
     documents = {file: one for file, one in section.contents.items() if isinstance(one, Document)}
-    figures = {
-        file: _figure(picture, f"{name}-{number}") for number, (file, picture) in enumerate(pictures.items()) if picture.svg
-    }
     placed = {part.file for one in documents.values() for part in one.parts if isinstance(part, Shown)}
+    figures = {
+        file: _figure(picture, f"{name}-{number}", captioned=file not in placed)  # a heading says it there
+        for number, (file, picture) in enumerate(pictures.items())
+    }
     yield from (figure for file, figure in figures.items() if file not in placed)
     for document in (*documents.values(), section.page):
         yield from (_part(part, figures) for part in document.parts)
@@ -74,9 +75,9 @@ def inline(text: str) -> str:
     return re.sub(r"`([^`]+)`", r"<code>\1</code>", re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", escape(text)))
 
 
-def _figure(picture: Picture, name: str) -> str:
-    drawing = svg.inline(picture.svg, name, picture.words)
-    return f"<figure>{drawing}<figcaption>{escape(picture.words)}</figcaption></figure>"
+def _figure(picture: Picture, name: str, *, captioned: bool) -> str:
+    caption = f"<figcaption>{escape(picture.words)}</figcaption>" if captioned else ""
+    return f"<figure>{svg.inline(picture.svg, name, picture.words)}{caption}</figure>"
 
 
 def _table(table: Table) -> str:

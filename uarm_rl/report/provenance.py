@@ -9,7 +9,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
-import uarm_rl
 from uarm_rl import files
 from uarm_rl.report import tables
 from uarm_rl.report.inventory import inventory
@@ -17,7 +16,7 @@ from uarm_rl.report.tables import Document, Section, Table
 
 _HASHED: Final = (files.POLICY, files.PROGRESS, "evaluation.csv")
 _DIGITS: Final = 16
-_PACKAGES: Final = ("numpy", "pandas", "matplotlib", "viser", "pybullet", "mujoco", "torch")
+_PACKAGES: Final = ("uarm-rl", "numpy", "pandas", "matplotlib", "viser", "pybullet", "mujoco", "torch")
 
 
 def provenance(results_dir: Path) -> Section:
@@ -61,9 +60,8 @@ def _made_with() -> list[tuple[str, str]]:
         except PackageNotFoundError:
             installed.append((name, "not installed"))
     return [
-        ("uarm-rl", uarm_rl.__version__),
-        ("Python", platform.python_version()),
         *installed,
+        ("Python", platform.python_version()),
         ("System", f"{platform.system()} {platform.machine()}"),
         ("Processor", _processor()),
     ]

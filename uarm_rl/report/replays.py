@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 #: So much the page holds: of each group the first positions, of each name the lowest seed, and so many groups.
 _POSITIONS: Final = 4
 _GROUPS: Final = 8
+_STEPS: Final = 2000  # control steps of an episode
+_STEP_S: Final = 0.05  # of traces that do not tell
 _WORDS: Final = (
     "The arm as the simulation had it, control step by control step: of each method the lowest seed, side by side on the same "
     "test position. The line is the way of the cup's tip, the red box the object, the dark mark on it the target. Drag turns "
@@ -47,8 +50,9 @@ def replays(shown: Sequence[Method], runs: Runs, evaluations: Mapping[str, pd.Da
         return Section(remarks=[f"report.html has no replays: {error}"], page=Document(f"There are no replays here: {error}."))
     kept = [(group, position) for group in _groups(recorded) for position in _common(group)]
     scenes = [[_episode(one, position) for one in group] for group, position in kept]
-    step_s = min(float(one.traces["time_s"].drop_duplicates().sort_values().diff().min()) for one in recorded.values())
-    page = record(scenes, step_s=step_s, object_size_m=next(iter(recorded.values())).object_size_m)
+    page = record(
+        scenes, step_s=min(map(_step_s, recorded.values())), object_size_m=next(iter(recorded.values())).object_size_m
+    )
     stage = [
         Replay(
             " and ".join(one.method.label for one in group),
@@ -78,6 +82,12 @@ def _recorded(method: Method, runs: Runs, evaluations: Mapping[str, pd.DataFrame
     )
 
 
+def _step_s(one: _Recorded) -> float:
+    """The time from one control step to the next."""
+    step_s = one.traces["time_s"].drop_duplicates().sort_values().diff().min()
+    return _STEP_S if math.isnan(step_s) else float(step_s)
+
+
 def _groups(recorded: Mapping[str, _Recorded]) -> list[list[_Recorded]]:
     """The paper's methods in pairs that differ in the buffer; then the others, two by two."""
     a, b, c, d = (method.folder for method in METHODS)
@@ -97,7 +107,7 @@ def _common(group: Sequence[_Recorded]) -> list[int]:
 def _episode(one: _Recorded, position: int) -> Episode:
     from uarm_rl.view.replay import Episode
 
-    rows = one.traces[one.traces["position"] == position]
+    rows = one.traces[one.traces["position"] == position][:_STEPS]
     red, green, blue = bytes.fromhex(one.method.colour.removeprefix("#"))
     joints, cups, targets = (
         rows[list(names)].to_numpy()
