@@ -21,6 +21,7 @@ from uarm_rl.report import svg
 from uarm_rl.report.tables import Document, Heading, Part, Photo, Picture, Section, Shown, Stage, Table
 
 _FOLDED: Final = 16  # rows: longer tables are folded
+_LONG: Final = 40  # characters of a cell: sentences
 _LONGEST: Final = 300  # rows of a CSV file that the page repeats beside its figure
 
 
@@ -89,13 +90,14 @@ def _table(table: Table) -> str:
     rows = "".join(
         f"<tr>{''.join(_cell(cell, column, table.left) for column, cell in enumerate(row))}</tr>" for row in table.rows
     )
-    caption = f"<caption>{inline(table.title)}</caption>" if table.title else ""
+    folded = len(table.rows) > _FOLDED
+    caption = f"<caption>{inline(table.title)}</caption>" if table.title and not folded else ""
     words = escape(table.title or ", ".join(table.headings[:3]))
     shown = (
         f'<div class="wide" tabindex="0" role="region" aria-label="{words}"><table class="sorts">{caption}'
         f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>"
     )
-    if len(table.rows) <= _FOLDED:
+    if not folded:
         return shown
     summary = inline(table.title or f"Table of {len(table.rows)} rows")
     return f"<details><summary>{summary}</summary>{shown}</details>"
@@ -107,6 +109,8 @@ _NUMBER: Final = ' class="number"'
 def _cell(cell: str, column: int, left: int) -> str:
     if column == 0 and left:
         return f'<th scope="row">{inline(cell)}</th>'
+    if len(cell) > _LONG:
+        return f'<td class="long">{inline(cell)}</td>'
     return f"<td{'' if column < left else _NUMBER}>{inline(cell)}</td>"
 
 

@@ -48,20 +48,23 @@ def record(replays: Sequence[Sequence[Episode]], *, step_s: float, object_size_m
 
     The same episodes make the same bytes.
     """
-    with redirect_stdout(StringIO()):  # viser says unasked where it serves, which here nobody looks at
-        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-        try:
-            pages = [_record(server, episodes, step_s, object_size_m) for episodes in replays]
-        finally:
-            server.stop()
+    pages = [_record(episodes, step_s, object_size_m) for episodes in replays]
     parts = [_DATA.split(page) for page in pages]
     (before, opening, _, closing, after), *_ = parts
     return Replays(before + opening, closing + after, [part[2] for part in parts])
 
 
-def _record(server: viser.ViserServer, episodes: Sequence[Episode], step_s: float, object_size_m: float) -> str:
-    server.scene.reset()
-    server.gui.configure_theme(dark_mode=False)
+def _record(episodes: Sequence[Episode], step_s: float, object_size_m: float) -> str:
+    """One recording as viser's page, in a server of its own: one that was used before remembers, in any order, what it lost."""
+    with redirect_stdout(StringIO()):  # viser says unasked where it serves, which here nobody looks at
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            return _played(server, episodes, step_s, object_size_m)
+        finally:
+            server.stop()
+
+
+def _played(server: viser.ViserServer, episodes: Sequence[Episode], step_s: float, object_size_m: float) -> str:
     width = TABLE_M[1] + _GAP_M
     server.initial_camera.fov = math.radians(35.0)
     server.initial_camera.position = (0.9 + 0.35 * len(episodes), 0.0, 0.75)
