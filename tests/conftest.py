@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from importlib.util import find_spec
 from pathlib import Path
 
 import hypothesis
 import pytest
 
-from uarm_rl import configuration
+from uarm_rl import cli, configuration
 from uarm_rl.sim.simulated_arm import SimulatedArm
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import PolicyCard
@@ -108,15 +109,37 @@ def without(tmp_path: Path) -> Callable[[str], dict[str, str]]:
 
 
 def uarm_rl(
-    *words: str, cwd: Path, environment: dict[str, str] | None = None, timeout_s: float = 120
+    *words: str, cwd: Path, environment: dict[str, str] | None = None, fresh: bool = False, timeout_s: float = 120
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own, as a user would, in the folder ``cwd``."""
-    return subprocess.run(
-        [sys.executable, "-m", "uarm_rl", *words],
-        cwd=cwd,
-        env=os.environ | (environment or {}),
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-    )
+    """Run the command line in the folder ``cwd``: as a user would, in a process of its own, if it is to be ``fresh`` or has an
+    environment; else in this one, where Python and torch have started already, and without processes that would start them."""
+    if fresh or environment:
+        return subprocess.run(
+            [sys.executable, "-m", "uarm_rl", *words],
+            cwd=cwd,
+            env=os.environ | (environment or {}),
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+    if words[:1] == ("evaluate",) and not any(word.startswith(("workers=", "-")) for word in words):
+        words += ("workers=1",)
+    code, out, err = 0, io.StringIO(), io.StringIO()
+    with chdir(cwd), redirect_stdout(out), redirect_stderr(err):
+        try:
+            cli.main(words)
+        except SystemExit as stop:
+            code = stop.code or 0
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+@contextmanager
+def chdir(folder: Path) -> Iterator[None]:
+    """As ``contextlib.chdir`` of Python 3.11."""
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)

@@ -91,7 +91,9 @@ def test_a_run_that_went_through_a_spreadsheet_gives_the_same_report(tmp_path):
             data = text.encode() if name == "plain" else text.replace(",", ";").replace(".", ",").encode("utf-16")
             (folder / file).write_bytes(data)
         report(tmp_path / name, {})
-    for file in (path.name for path in (tmp_path / "plain").iterdir() if path.is_file()):
+    made = [path.name for path in (tmp_path / "plain").iterdir() if path.suffix in (".csv", ".md", ".png")]
+    assert "table1.csv" in made
+    for file in made:
         assert (tmp_path / "saved" / file).read_bytes() == (tmp_path / "plain" / file).read_bytes()
 
 

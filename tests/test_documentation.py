@@ -87,8 +87,9 @@ def shortened(words: list[str]) -> list[str]:
     if "-m" in rest:  # its first job; `check` has composed all of them
         rest = cli.combinations([word for word in rest if not word.startswith(("-", "hydra"))])[1][0]
     rest += SHORT.get(command, ())
-    if command == "evaluate" and any(word.startswith("out=") for word in rest):  # elsewhere the standard test stays one
+    if command == "evaluate":
         rest = [*(word for word in rest if not word.startswith("positions=")), "positions=two.csv"]
+        rest += [] if any(word.startswith("out=") for word in rest) else ["out=two-evaluation.csv"]
     return [command, *rest]
 
 

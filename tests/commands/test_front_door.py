@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from itertools import product
 
 import pytest
 
@@ -34,8 +33,9 @@ QUICK = (*FAST, "episodes=1", "simulate_beside=false")
         (["render", "run=x", "out=a.mp4", "width=321"], ["even width and height"]),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_is_done(tmp_path, words, parts):
-    done = uarm_rl(*words, cwd=tmp_path, environment={"DISPLAY": ""})
+def test_what_is_wrong_is_said_before_anything_is_done(tmp_path, monkeypatch, words, parts):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    done = uarm_rl(*words, cwd=tmp_path)
     assert_refused(done, done.returncode, *parts)
     assert done.returncode in (1, 2)
     assert list(tmp_path.iterdir()) == []
@@ -54,7 +54,9 @@ def test_an_extra_that_is_missing_is_named_with_its_pip_line(tmp_path):
 @pytest.mark.parametrize(
     ("words", "closed"),
     [
-        *product((["--help"], ["report"], ["evaluate", "run=nowhere"], ["doctor"]), ((1,), (2,), (0, 1, 2))),
+        (["--help"], (1,)),
+        (["evaluate", "run=nowhere"], (2,)),
+        (["doctor"], (0, 1, 2)),
         (["train", *QUICK], (0, 1, 2)),
     ],
 )

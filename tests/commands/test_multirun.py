@@ -50,7 +50,7 @@ def test_a_failing_job_is_told_once_and_does_not_stop_the_others(run, tmp_path):
 
 
 def test_likewise_beside_each_other(tmp_path):
-    done = uarm_rl(*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
+    done = uarm_rl(*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path, fresh=True)
     assert (done.returncode, told(done.stderr).splitlines()) == (2, TOLD)
     assert (tmp_path / "results" / "gamma-0.9" / "seed3" / "policy.safetensors").exists()
 
