@@ -29,7 +29,10 @@ ACCENT: Final[Colour] = (0.16, 0.50, 0.74)
 RUBBER: Final[Colour] = (0.13, 0.13, 0.14)
 HOSE: Final[Colour] = (0.55, 0.70, 0.80)
 OBJECT: Final[Colour] = (0.90, 0.32, 0.26)
-FLOOR: Final[Colour] = (0.90, 0.91, 0.92)
+FLOOR: Final[Colour] = (0.92, 0.93, 0.94)
+EDGE: Final[Colour] = (0.74, 0.76, 0.78)
+FLOOR_RADIUS_M: Final = 0.62
+FLOOR_THICK_M: Final = 0.012
 
 #: Towards the light.
 LIGHT: Final = (0.6, -0.5, 1.1)
@@ -223,7 +226,8 @@ def box(size_m: float) -> Mesh:
 
 def floor() -> Mesh:
     """A round table."""
-    return lathe([(0.0, -0.012), (0.62, -0.012), (0.62, 0.0), (0.0, 0.0)], 96)
+    radius, below = FLOOR_RADIUS_M, -FLOOR_THICK_M
+    return lathe([(0.0, below), (radius, below), (radius, 0.0), (0.0, 0.0)], 96)
 
 
 # Two ways to make a shape

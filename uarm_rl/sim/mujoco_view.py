@@ -17,6 +17,8 @@ from uarm_rl.sim import looks
 from uarm_rl.sim.simulated_arm import CAMERA, Camera, Scene
 from uarm_rl.task.arm import ArmError
 
+__all__ = ["View", "Window", "mujoco"]
+
 # Read by MuJoCo when it is imported; without it a picture needs a screen, and without the library the import would fail.
 if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
     with suppress(OSError):
@@ -46,13 +48,13 @@ class _Stage:
             spec.visual.global_.offwidth, spec.visual.global_.offheight = size
         spec.visual.global_.fovy = CAMERA.view_deg
         spec.visual.quality.shadowsize = 4096
-        spec.visual.headlight.ambient, spec.visual.headlight.diffuse = (0.45,) * 3, (0.2,) * 3
+        spec.visual.headlight.ambient, spec.visual.headlight.diffuse = (0.62,) * 3, (0.12,) * 3
         spec.visual.headlight.specular = (0.0,) * 3
         spec.visual.map.znear, spec.visual.map.zfar = 0.05, 10.0
         spec.stat.extent, spec.stat.center = 1.0, CAMERA.target_m
         away = tuple(-value for value in looks.LIGHT)
         spec.worldbody.add_light(
-            pos=looks.LIGHT, dir=away, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=(0.45,) * 3, specular=(0.1,) * 3
+            pos=looks.LIGHT, dir=away, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=(0.36,) * 3, specular=(0.05,) * 3
         )
         sky = {"type": mujoco.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mujoco.mjtBuiltin.mjBUILTIN_FLAT}
         spec.add_texture(name="sky", **sky, rgb1=(1.0, 1.0, 1.0), width=8, height=48)

@@ -9,13 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.sim import looks
+from uarm_rl.sim.backdrop import Backdrop, posed
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.servo import Servo
 from uarm_rl.sim.simulated_arm import (
@@ -243,9 +244,10 @@ class _Studio:
 
     def __init__(self, object_size_m: float) -> None:
         self._client = int(bullet.connect(bullet.DIRECT))
-        self._bodies = [(part.frame, self._body(part.mesh, part.colour)) for part in looks.parts()]
-        self._object = self._body(looks.box(object_size_m), looks.OBJECT)
-        self._body(looks.floor(), looks.FLOOR)
+        self._parts = [(part.frame, part.mesh, self._body(part.mesh, part.colour)) for part in looks.parts()]
+        box = looks.box(object_size_m)
+        self._parts.append(("object", box, self._body(box, looks.OBJECT)))
+        self._backdrop: tuple[Any, Backdrop] | None = None
 
     def _body(self, mesh: looks.Mesh, colour: looks.Colour) -> int:
         client = {"physicsClientId": self._client}
@@ -261,9 +263,9 @@ class _Studio:
 
     def picture(self, scene: Scene, width: int, height: int, camera: Camera) -> NDArray[np.uint8]:
         client = {"physicsClientId": self._client}
-        poses = looks.poses(scene.joints_rad, scene.compression_m)
-        placed = [(body, *poses[frame]) for frame, body in self._bodies]
-        for body, position, (w, x, y, z) in [*placed, (self._object, scene.object[:3], scene.object[3:])]:
+        poses = looks.poses(scene.joints_rad, scene.compression_m) | {"object": (scene.object[:3], scene.object[3:])}
+        for frame, _, body in self._parts:
+            position, (w, x, y, z) = poses[frame]
             bullet.resetBasePositionAndOrientation(body, position, (x, y, z, w), **client)
         view = bullet.computeViewMatrixFromYawPitchRoll(
             camera.target_m, camera.distance_m, camera.azimuth_deg - 90.0, camera.elevation_deg, 0, 2, **client
@@ -278,25 +280,19 @@ class _Studio:
             lightAmbientCoeff=0.60,
             lightDiffuseCoeff=0.50,
             lightSpecularCoeff=0.02,
-            shadow=1,
+            shadow=0,
             renderer=bullet.ER_TINY_RENDERER,
             flags=bullet.ER_NO_SEGMENTATION_MASK,
             **client,
         )
         rgba = np.asarray(picture[2], np.uint8).reshape(height, width, 4)
-        return _softened(np.ascontiguousarray(rgba[:, :, :3]))
+        empty = np.asarray(picture[3], np.float32).reshape(height, width) >= 1.0
+        seen_by = camera, (width, height)
+        if self._backdrop is None or self._backdrop[0] != seen_by:
+            self._backdrop = seen_by, Backdrop(*seen_by)
+        meshes = [posed(mesh, poses[frame]) for frame, mesh, _ in self._parts]
+        return self._backdrop[1].behind(meshes, np.ascontiguousarray(rgba[:, :, :3]), empty)
 
     def close(self) -> None:
         if bullet.isConnected(self._client):
             bullet.disconnect(self._client)
-
-
-def _softened(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The picture with its edges a little blurred, where the renderer leaves stairs."""
-    from PIL import Image, ImageChops, ImageFilter
-
-    image = Image.fromarray(picture)
-    grey = image.convert("L")
-    contrast = ImageChops.subtract(grey.filter(ImageFilter.MaxFilter(3)), grey.filter(ImageFilter.MinFilter(3)))
-    edges = contrast.point([min(255, 8 * value) for value in range(256)])
-    return np.asarray(Image.composite(image.filter(ImageFilter.GaussianBlur(0.75)), image, edges))

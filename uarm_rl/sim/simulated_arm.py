@@ -66,9 +66,14 @@ class Camera(NamedTuple):
 
     def pixel(self, width: int, height: int, point_m: Sequence[float]) -> tuple[float, float]:
         """Column and row at which a picture of that size shows a point."""
-        right, up, ahead = self._axes() @ (np.asarray(point_m) - self.target_m)
-        scale = 0.5 * height / self._slope() / float(self.distance_m + ahead)
-        return width / 2.0 + scale * float(right), height / 2.0 - scale * float(up)
+        column, row = self.pixels(width, height, np.asarray(point_m)[np.newaxis])[0].tolist()
+        return column, row
+
+    def pixels(self, width: int, height: int, points_m: Vector) -> Vector:
+        """Columns and rows, shape (n, 2), at which a picture of that size shows points, shape (n, 3)."""
+        right, up, ahead = self._axes() @ (points_m - np.asarray(self.target_m)).T
+        scale = 0.5 * height / self._slope() / (self.distance_m + ahead)
+        return np.column_stack([width / 2.0 + scale * right, height / 2.0 - scale * up])
 
     def fitted(self, points_m: Vector, width: int, height: int, margin: float = 0.1) -> Camera:
         """A camera that looks the same way, as near as pictures of that size show all the points, shape (n, 3)."""
