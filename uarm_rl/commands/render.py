@@ -20,9 +20,10 @@ import numpy as np
 
 from uarm_rl import checks, progress, workers
 from uarm_rl.configuration import Settings, build_env
-from uarm_rl.evaluation.film import Screen, Take, check_film, film, play, takes_of, write_film
+from uarm_rl.evaluation.film import Screen, Take, check_film, film, head_height, play, takes_of, write_film
 from uarm_rl.sim.simulated_arm import CAMERA, Camera, SimulatedArm
 from uarm_rl.task import kinematics
+from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.trained import in_engine, load_policy, read_run
 
 
@@ -38,7 +39,7 @@ def run(settings: Settings) -> None:
     out = output(settings)
     check_film(out, width, height)
     shows = _shows(settings)
-    control_hz = shows[0][1]["control_hz"]
+    control_hz, time_limit_s = shows[0][1]["control_hz"], settings["time_limit_s"]
     pace = checks.integer("pictures_per_second", settings["pictures_per_second"], low=1, high=control_hz)
     if control_hz % pace:
         raise ValueError(f"pictures_per_second must divide control_hz, which is {control_hz} in this run; got {pace}")
@@ -46,17 +47,18 @@ def run(settings: Settings) -> None:
         screens: list[Screen] = []
         arms, takes = [], []
         for policy, run_settings, _ in shows:
-            env = stack.enter_context(closing(_stage(run_settings)))
+            env = stack.enter_context(closing(_stage(run_settings, time_limit_s)))
             assert isinstance(env.arm, SimulatedArm)
             arms.append(env.arm)
             takes.append([play(env, policy, reset) for reset in resets])
             # The other one gets the same positions.
             resets = [{"options": {"object_position": take.episode.trace[0, 6:9]}} for take in takes[0]]
-        size = width // len(shows), height
+        full = width // len(shows), height
+        size = full[0], height - head_height(*full)
         camera = _camera([take for several in takes for take in several], *size)
         for arm, several, (_, _, title) in zip(arms, takes, shows, strict=True):
             draw = partial(_draw, arm, camera, size)
-            screens.append(Screen(title, several, draw, partial(camera.pixel, *size)))
+            screens.append(Screen(title, full, several, draw, partial(camera.pixel, *size)))
         every = control_hz // pace
         total = sum(len(steps) for _, steps in takes_of(screens, control_hz=control_hz, every=every))
         pictures = progress.shown(film(screens, control_hz=control_hz, every=every), total, "picture", out.name)
@@ -94,8 +96,9 @@ def _title(settings: Settings, policy: str | None) -> str:
     return next((one.words for one in METHODS if (one.buffer, one.reward) == (buffer, reward)), f"{buffer}, {reward}")
 
 
-def _stage(settings: Settings) -> Any:
-    return build_env(settings, time_limit_s=settings["time_limit_s"], render_mode="rgb_array_list", picture_size=None)
+def _stage(settings: Settings, time_limit_s: float | None) -> UArmSuctionEnv:
+    longest_s = settings["time_limit_s"] if time_limit_s is None else time_limit_s
+    return build_env(settings, time_limit_s=longest_s, render_mode="rgb_array_list", picture_size=None)
 
 
 def _draw(arm: SimulatedArm, camera: Camera, size: tuple[int, int], scene: Any) -> Any:

@@ -22,6 +22,7 @@ from uarm_rl.task.rollout import Episode, run_episode
 Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
+_PAPER: Final[Colour] = (255, 255, 255)
 _INK: Final[Colour] = (28, 32, 40)
 _REACHED: Final[Colour] = (0, 120, 80)
 _NOT_REACHED: Final[Colour] = (190, 50, 30)
@@ -37,12 +38,26 @@ class Take(NamedTuple):
 
 
 class Screen(NamedTuple):
-    """Where a policy is shown: its name, how a scene of it is drawn, and where in the picture a point (m) is seen."""
+    """Where a policy is shown: its name, how a scene of it is drawn, and where in the drawing a point (m) is seen.
+
+    A picture is the drawing below a head of words, see ``head_height``.
+    """
 
     title: str
+    size: tuple[int, int]  # of its pictures: width and height
     takes: Sequence[Take]
     draw: Callable[[Any], Picture]
     pixel: Callable[[Sequence[float]], tuple[float, float]]
+
+
+def head_height(width: int, height: int) -> int:
+    """How many rows of a screen's picture of this size are above the drawing."""
+    return round(2.9 * _letters(width, height))
+
+
+def _letters(width: int, height: int) -> int:
+    """The height of letters, pixels."""
+    return max(10, min(height // 16, width // 19))
 
 
 def play(env: UArmSuctionEnv, policy: Policy, reset: dict[str, Any]) -> Take:
@@ -80,22 +95,25 @@ def takes_of(screens: Sequence[Screen], *, control_hz: int, every: int) -> list[
 
 
 def _captioned(screen: Screen, take: Take, at: int, control_hz: int) -> Picture:
-    """The picture with its words, and a ring where the target is."""
+    """The drawing with a ring where the target is, below its words."""
     from PIL import Image, ImageDraw, ImageFont
 
-    state, success = take.episode.trace[at], take.episode.success
-    image = Image.fromarray(screen.draw(take.scenes[at]))
-    _ring(image, *screen.pixel(state[6:9]))
-    draw = ImageDraw.Draw(image)
-    size = max(10, min(image.height // 16, image.width // 19))
-    margin = size // 2
-    draw.text((margin, margin), screen.title, fill=_INK, font=ImageFont.load_default(size))
-    words = f"{at / control_hz:.2f} s   {1000.0 * math.dist(state[3:6], state[6:9]):.1f} mm"
-    font, line = ImageFont.load_default(0.85 * size), margin + 1.35 * size
+    state = take.episode.trace[at]
+    drawing = Image.fromarray(screen.draw(take.scenes[at]))
+    _ring(drawing, *screen.pixel(state[6:9]))
+    width, height = screen.size
+    image = Image.new("RGB", (width, height), _PAPER)
+    image.paste(drawing, (0, height - drawing.height))
+    draw, size = ImageDraw.Draw(image), _letters(width, height)
+    margin, line = size / 2, 1.75 * size
+    draw.text((margin, 0.4 * size), screen.title, fill=_INK, font=ImageFont.load_default(size))
+    font = ImageFont.load_default(0.85 * size)
+    words = f"{at / control_hz:.2f} s    {1000.0 * math.dist(state[3:6], state[6:9]):.1f} mm    "
     draw.text((margin, line), words, fill=_INK, font=font)
     if at == len(take.scenes) - 1:
-        end, colour = ("reached", _REACHED) if success else ("not reached", _NOT_REACHED)
-        draw.text((margin, line + 1.2 * size), end, fill=colour, font=font, stroke_width=size / 30, stroke_fill=colour)
+        end, colour = ("reached", _REACHED) if take.episode.success else ("not reached", _NOT_REACHED)
+        place = margin + font.getlength(words), line
+        draw.text(place, end, fill=colour, font=font, stroke_width=size / 40, stroke_fill=colour)
     return np.asarray(image)
 
 
