@@ -1,0 +1,102 @@
+"""The arm, its object and its target in a viser scene: drawn once, then posed by joint angles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from uarm_rl.checks import how_to_add
+from uarm_rl.sim.simulated_arm import OBJECT_COLOUR, TABLE_COLOUR, urdf
+from uarm_rl.task.kinematics import level
+
+try:
+    import viser
+    import yourdfpy
+    from viser.extras import ViserUrdf
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        f"{error.name} is not installed, which shows the arm in a browser; {how_to_add('view')}", name=error.name
+    ) from None
+
+if TYPE_CHECKING:
+    from uarm_rl.task.kinematics import Vector
+
+#: The arm's place on the table: front to back, and side to side (m). The base stands on its left edge, in the middle.
+TABLE_M: Final = (0.52, 0.56)
+_TABLE_THICK_M: Final = 0.01
+_BEHIND_M: Final = 0.1  # of the table, behind the base's axis
+_MARK_M: Final = 0.014  # across
+_MARK_COLOUR: Final = (20, 20, 20)
+
+
+def colour(rgba: Sequence[float]) -> tuple[int, int, int]:
+    """A colour of the simulation, in numbers from 0 to 1, as viser has it."""
+    red, green, blue = (round(255.0 * value) for value in rgba[:3])
+    return red, green, blue
+
+
+class ArmView:
+    """One arm on its piece of table, with an object and a mark where the cup is to go.
+
+    ``name`` is that of the scene's node, as in ``/arm``; ``place_m`` (x, y, z) is where the base stands, ``title`` floats
+    above it. A scene may have several.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        name: str = "/arm",
+        *,
+        place_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        object_size_m: float = 0.03,
+        title: str = "",
+    ) -> None:
+        scene = server.scene
+        self._scene, self._name, self._size_m = scene, name, object_size_m
+        scene.add_frame(name, show_axes=False, position=place_m)
+        deep, wide = TABLE_M
+        scene.add_box(
+            f"{name}/table",
+            colour(TABLE_COLOUR),
+            (deep, wide, _TABLE_THICK_M),
+            position=(deep / 2.0 - _BEHIND_M, 0.0, -_TABLE_THICK_M / 2.0),
+        )
+        if title:
+            scene.add_label(f"{name}/title", title, position=(0.0, 0.0, 0.36), anchor="bottom-center")
+        self._urdf = yourdfpy.URDF.load(str(urdf()))
+        self._arm = ViserUrdf(server, self._urdf, root_node_name=name)
+        self._object = scene.add_box(f"{name}/object", colour(OBJECT_COLOUR), (object_size_m,) * 3, visible=False)
+        self._mark = scene.add_cylinder(f"{name}/target", _MARK_M / 2.0, 0.001, color=_MARK_COLOUR, visible=False)
+
+    def pose(self, joints_rad: Sequence[float] | Vector) -> None:
+        """Set joint1 to joint3 (rad; further ones are ignored): joint4 follows, as the rods have it."""
+        joint1, joint2, joint3 = (float(angle) for angle in joints_rad[:3])
+        self._arm.update_cfg(np.array([joint1, joint2, joint3, level(joint2, joint3)]))
+
+    def cup_m(self) -> Vector:
+        """Where the drawn cup's tip is, shape (3,), from the base."""
+        tip: Vector = self._urdf.get_transform("cup")[:3, 3]
+        return tip
+
+    def put_object(self, top_m: Sequence[float] | Vector | None) -> None:
+        """Show the object with the centre of its upper surface there (x, y, z from the base); ``None`` hides it."""
+        self._object.visible = top_m is not None
+        if top_m is not None:
+            x, y, z = (float(value) for value in top_m)
+            self._object.position = (x, y, z - self._size_m / 2.0)
+
+    def mark_target(self, point_m: Sequence[float] | Vector | None) -> None:
+        """Mark where the cup's tip is to go (x, y, z from the base); ``None`` hides the mark."""
+        self._mark.visible = point_m is not None
+        if point_m is not None:
+            x, y, z = (float(value) for value in point_m)
+            self._mark.position = (x, y, z)
+
+    def draw_path(self, points_m: Vector, rgb: tuple[int, int, int] = (0, 90, 180)) -> None:
+        """Draw the way of the cup's tip, shape (n, 3); it replaces the one before."""
+        ends = np.stack([points_m[:-1], points_m[1:]], axis=1)
+        self._scene.add_line_segments(
+            f"{self._name}/path", ends.astype(np.float32), rgb, thickness=2.0, thickness_units="screen"
+        )
