@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,15 @@ _FLAGS = (
     "--disable-sync",
     "--remote-debugging-pipe",
 )
+#: Chromium reads its descriptor 3 and writes to 4, which may be taken here.
+_MOVE = """
+import fcntl, os, sys
+for number in (1, 2):
+    sys.argv[number] = fcntl.fcntl(int(sys.argv[number]), fcntl.F_DUPFD, 10)
+for number, place in enumerate((3, 4), start=1):
+    os.dup2(sys.argv[number], place)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 class Browser:
@@ -37,17 +47,27 @@ class Browser:
         self.requests: list[str] = []
         target = self._ask("Target.createTarget", url="about:blank")["targetId"]
         self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self._ask(f"{domain}.enable")
+        self._ask("Page.enable")
+        self._listen(self._session)
+
+    def _send(self, method: str, session: str, **params: Any) -> int:
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": params} | ({"sessionId": session} if session else {})
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        return self._number
+
+    def _listen(self, session: str) -> None:
+        """Hear what a page or a frame in it complains of, and of the frames in that; it waits until then."""
+        for domain in ("Runtime", "Log", "Network"):
+            self._send(f"{domain}.enable", session)
+        self._send("Target.setAutoAttach", session, autoAttach=True, waitForDebuggerOnStart=True, flatten=True)
+        self._send("Runtime.runIfWaitingForDebugger", session)
 
     def _ask(self, method: str, **params: Any) -> dict[str, Any]:
-        self._number += 1
-        message = {"id": self._number, "method": method, "params": params}
-        message |= {"sessionId": self._session} if self._session else {}
-        os.write(self._to, json.dumps(message).encode() + b"\0")
+        number = self._send(method, self._session, **params)
         while True:
             answer = self._next()
-            if answer.get("id") == self._number:
+            if answer.get("id") == number:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error']}")
                 result: dict[str, Any] = answer["result"]
@@ -62,7 +82,9 @@ class Browser:
         one, _, self._rest = self._rest.partition(b"\0")
         message: dict[str, Any] = json.loads(one)
         method, params = message.get("method"), message.get("params", {})
-        if method == "Runtime.exceptionThrown":
+        if method == "Target.attachedToTarget" and self._session:
+            self._listen(params["sessionId"])
+        elif method == "Runtime.exceptionThrown":
             self.problems.append(str(params["exceptionDetails"].get("exception", params["exceptionDetails"])))
         elif method == "Runtime.consoleAPICalled" and params["type"] in ("error", "assert"):
             self.problems.append(str([arg.get("value", arg.get("description")) for arg in params["args"]]))
@@ -71,6 +93,10 @@ class Browser:
         elif method == "Network.requestWillBeSent":
             self.requests.append(params["request"]["url"])
         return message
+
+    def wait(self, seconds: float) -> None:
+        """Let the page go on for a while."""
+        self.value(f"new Promise(done => setTimeout(done, {1000 * seconds}))")
 
     def open(self, place: Path | str, *, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         """Open a file, or an address, and wait until it has loaded."""
@@ -101,8 +127,7 @@ def browser() -> Iterator[Browser]:
     assert CHROMIUM
     to, back = os.pipe(), os.pipe()
     with TemporaryDirectory(prefix="browser-", ignore_cleanup_errors=True) as profile:
-        # Chromium reads its descriptor 3 and writes to 4, which may be taken here: a shell moves them there.
-        command = ["sh", "-c", f'exec "$@" 3<&{to[0]} 4>&{back[1]}', "sh", CHROMIUM, *_FLAGS, f"--user-data-dir={profile}"]
+        command = [sys.executable, "-c", _MOVE, str(to[0]), str(back[1]), CHROMIUM, *_FLAGS, f"--user-data-dir={profile}"]
         process = subprocess.Popen(command, pass_fds=(to[0], back[1]), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         os.close(to[0])
         os.close(back[1])

@@ -139,7 +139,7 @@ def _try_positions(one: Page, shown: _Newest, seed: int) -> None:
     """Position after position, as long as somebody looks."""
     settings = shown.settings
     env = build_env(settings, time_limit_s=settings["time_limit_s"], render_mode="rgb_array_list", picture_size=None)
-    results: list[bool] = []
+    results, of = list[bool](), ""
     with closing(env):
         for number in count():
             while not one.stopped:
@@ -152,17 +152,19 @@ def _try_positions(one: Page, shown: _Newest, seed: int) -> None:
             if one.stopped:
                 return
             assert policy is not None
-            one.skips()
+            if shown.words != of:  # of another policy
+                results, of = [], shown.words
             head = f"**{shown.name}**\n\n{shown.words}"
             tried = f"{sum(results)} of {len(results)} reached" if results else ""
-            _try_position(one, env, policy, {"seed": seed + number}, settings["control_hz"], (head, tried), results)
-            one.wait(_REST_S)
+            if _try_position(one, env, policy, {"seed": seed + number}, settings["control_hz"], (head, tried), results):
+                one.wait(_REST_S)
+                one.skips()
 
 
 def _try_position(
     one: Page, env: UArmSuctionEnv, policy: Policy, reset: dict[str, Any], control_hz: int, words: tuple[str, str], results: Any
-) -> None:
-    """One position, drawn as it goes; its result is added, unless it was left before the end."""
+) -> bool:
+    """One position, drawn as it goes; its result is added. False if it was left before the end."""
     passed = 0
     for states, scenes, success in _episode(env, policy, reset):
         for state, scene in zip(states, scenes, strict=True):
@@ -172,9 +174,10 @@ def _try_position(
             one.say("\n\n".join([words[0], f"{passed / control_hz:.2f} s, {distance_mm:.1f} mm {at_end}", words[1]]))
             passed += 1
             if not one.wait(1.0 / control_hz) or one.skips():
-                return
+                return False
         if success is not None:
             results.append(success)
+    return True
 
 
 def _episode(env: UArmSuctionEnv, policy: Policy, reset: dict[str, Any]) -> Iterator[tuple[Any, list[Any], bool | None]]:
@@ -197,7 +200,7 @@ def _show_arm(one: Page, folder: Path) -> None:
             one.say(f"**{folder}**\n\nwaiting for {live.LIVE}, which `run-real watch=true` writes there")
             continue
         joints += _GLIDE * (np.array(now.reference_rad if now.moving else now.joints_rad) - joints)
-        one.show_arm(joints, now.target_m, kinematics.cup_position(now.reference_rad))
+        one.show_arm(joints, now.target_m, kinematics.cup_position(now.reference_rad), holds=now.pump == "holding")
         if now.pictures != pictures and (picture := live.read_picture(folder)):
             one.show_picture(picture)
             pictures = now.pictures

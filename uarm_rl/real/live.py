@@ -115,21 +115,24 @@ class LiveFile:
 
     def _work(self) -> None:
         written = 0
-        while not self._ended:
+        while True:
             self._news.wait(_ALIVE_S)
             self._news.clear()
+            ended = self._ended
             try:
                 if self._encode is not None and self._pictures != written:
                     written = self._pictures
                     _put(self._folder / LIVE_PICTURE, self._encode(self._picture))
-                self._write()
+                self._write(ended)
             except Exception as error:  # whatever it is, the arm goes on
                 if not self._warned:
                     log.warning("what uarm-rl watch would show cannot be written (%s); the trials go on without", error)
                 self._warned = True
+            if ended:
+                return
             time.sleep(_EVERY_S)
 
-    def _write(self) -> None:
+    def _write(self, ended: bool) -> None:
         state = self._state
         if state is None:
             return
@@ -142,7 +145,7 @@ class LiveFile:
             said=self._said,
             trials=self._trials,
             emulated=self._emulated,
-            ended=self._ended,
+            ended=ended,
             written_s=time.time(),
             pictures=self._pictures,
         )

@@ -6,6 +6,7 @@ The page has no way to the arm: what its buttons change is read here, by whoever
 from __future__ import annotations
 
 import io
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -32,8 +33,10 @@ class Page:
         self._server, self._stop = server, stop
         self.arm = ArmView(server, object_size_m=object_size_m, hose=True)
         server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=False)
-        server.initial_camera.position = (0.62, -0.46, 0.42)
-        server.initial_camera.look_at = (0.12, 0.0, 0.1)
+        server.scene.configure_default_lights(cast_shadow=True)
+        server.initial_camera.fov = math.radians(35.0)
+        server.initial_camera.position = (1.02, -0.63, 0.66)
+        server.initial_camera.look_at = (0.13, 0.0, 0.09)
         self._reference: Any = None
         self._words = server.gui.add_markdown("")
         self._said = ""
@@ -93,18 +96,19 @@ class Page:
             self.arm.put_object_at((scene.object[:3], scene.object[3:]))
             self.arm.mark_target(target_m)
 
-    def show_arm(self, joints_rad: Vector, target_m: Any, reference_m: Any) -> None:
-        """Show a real arm: the target, with the object under it, and where the cup was sent to, as far as they are known."""
+    def show_arm(self, joints_rad: Vector, target_m: Any, reference_m: Any, *, holds: bool) -> None:
+        """Show a real arm: the target, if it is known, with the object under it, and where the cup was sent to.
+
+        What it ``holds``, unless it stands on its place still, hangs from the cup.
+        """
         with self._server.atomic():
             self.arm.pose(joints_rad)
-            self.arm.put_object(target_m)
+            self.arm.put_object(self.arm.cup_m() if holds and target_m is None else target_m)
             self.arm.mark_target(target_m)
             if self._reference is None:
-                sphere = self._server.scene.add_icosphere("/reference", 0.004, color=_REFERENCE_RGB, visible=False)
+                sphere = self._server.scene.add_icosphere("/reference", 0.004, color=_REFERENCE_RGB)
                 self._reference = sphere
-            self._reference.visible = reference_m is not None
-            if reference_m is not None:
-                self._reference.position = tuple(map(float, reference_m))
+            self._reference.position = tuple(map(float, reference_m))
 
     def draw_curve(self, title: str, x: Vector, y: Vector, unit: str) -> None:
         """Draw a curve, or draw it anew, over the episodes."""
