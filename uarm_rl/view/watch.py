@@ -32,7 +32,6 @@ class Page:
     def __init__(self, server: viser.ViserServer, stop: threading.Event, *, object_size_m: float, plays: bool) -> None:
         self._server, self._stop = server, stop
         self.arm = ArmView(server, object_size_m=object_size_m, hose=True)
-        server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=False)
         server.scene.configure_default_lights(cast_shadow=True)
         server.initial_camera.fov = math.radians(35.0)
         server.initial_camera.position = (1.02, -0.63, 0.66)
