@@ -41,6 +41,16 @@ def test_frames_are_where_the_geometry_has_them(joints):
     assert looks.poses(joints, 0.003)["cup"][0][2] == pytest.approx(ends[3][2] + 0.003)
 
 
+@pytest.mark.parametrize("joints", JOINTS)
+def test_a_frame_turns_where_it_hangs(joints):
+    poses, before = looks.poses(joints), looks.poses((0.3, 0.2, 0.1))
+    for frame, parent in looks.PARENTS.items():
+        assert looks.seen_from(poses[parent], poses[frame])[0] == looks.seen_from(before[parent], before[frame])[0], frame
+        corner = np.array([0.01, 0.02, 0.03])
+        local = at({"it": looks.seen_from(poses[parent], poses[frame])}, "it", corner)
+        assert at(poses, parent, local) == pytest.approx(at(poses, frame, corner), abs=1e-6)
+
+
 def test_shapes_are_closed_and_face_outwards():
     """The volume that the faces enclose is positive, and every face looks the way of its normals."""
     for part in looks.parts():

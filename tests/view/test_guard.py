@@ -102,6 +102,7 @@ def test_nothing_listens_but_on_loopback(guarded):
 
 def test_the_page_can_open_no_tunnel(guarded):
     server, _ = guarded
+    assert "request_share_url" in vars(server)  # not viser's own
     assert server.request_share_url() is None
     assert server._share_tunnel is None
 

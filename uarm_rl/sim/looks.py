@@ -37,8 +37,9 @@ FLOOR_THICK_M: Final = 0.012
 #: Towards the light.
 LIGHT: Final = (0.6, -0.5, 1.1)
 
-#: Of a frame: position (3,), m, and quaternion w, x, y, z (4,).
-Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
+#: w, x, y, z; and of a frame: position (3,), m, and quaternion w, x, y, z (4,).
+Quaternion = tuple[float, float, float, float]
+Pose = tuple[tuple[float, float, float], Quaternion]
 
 
 class Mesh(NamedTuple):
@@ -90,6 +91,39 @@ def poses(joints_rad: Sequence[float], compression_m: float = 0.0) -> dict[str, 
     for number, (at, pitch) in enumerate(_hose(elbow, fall, wrist)):
         placed[f"hose{number}"] = _placed(turn, at, pitch, _HOSE_SIDE_M)
     return placed | {"base": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))}
+
+
+#: What a frame hangs from: seen from there it turns and stays where it is. The others stand on the table.
+PARENTS: Final = {
+    **dict.fromkeys(("lower_arm", "level_rod", "crank"), "turret"),
+    **dict.fromkeys(("elbow", "forearm"), "lower_arm"),
+    "drive_rod": "crank",
+    "hand_rod": "elbow",
+    "hand": "forearm",
+    "cup": "hand",
+}
+
+
+def seen_from(parent: Pose, pose: Pose) -> Pose:
+    """A pose in another's frame, rounded to what nobody sees."""
+    (w, x, y, z), (p, q) = parent[1], pose
+    turned = _times((w, -x, -y, -z), q)
+    dx, dy, dz = (one - other for one, other in zip(p, parent[0], strict=True))
+    _, *place = _times(_times((w, -x, -y, -z), (0.0, dx, dy, dz)), (w, x, y, z))
+    a, b, c = (round(value, 7) for value in place)
+    d, e, f, g = (round(value, 6) for value in turned)
+    return (a, b, c), (d, e, f, g)
+
+
+def _times(one: Quaternion, other: Quaternion) -> Quaternion:
+    """Hamilton's product."""
+    (a, b, c, d), (e, f, g, h) = one, other
+    return (
+        a * e - b * f - c * g - d * h,
+        a * f + b * e + c * h - d * g,
+        a * g - b * h + c * e + d * f,
+        a * h + b * g - c * f + d * e,
+    )
 
 
 def _moved(at: tuple[float, float], pitch: float, ahead: float, up: float) -> tuple[float, float]:

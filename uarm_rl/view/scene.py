@@ -65,13 +65,15 @@ class ArmView:
         )
         if title:
             scene.add_label(f"{name}/title", title, position=(0.0, 0.0, 0.36), anchor="bottom-center")
+        self._cup_m: Vector = np.zeros(3)
         self._frames: dict[str, viser.FrameHandle] = {}
-        for number, part in enumerate(looks.parts()):
-            if part.frame.startswith("hose") and not hose:
-                continue
-            if part.frame not in self._frames:
-                self._frames[part.frame] = scene.add_frame(f"{name}/{part.frame}", show_axes=False)
-            self._add_mesh(f"{name}/{part.frame}/{number}", part.mesh, part.colour)
+        paths: dict[str, str] = {}
+        shown = [part for part in looks.parts() if hose or not part.frame.startswith("hose")]
+        for frame in dict.fromkeys(("base", "turret", *looks.PARENTS, *(part.frame for part in shown))):
+            paths[frame] = f"{paths.get(looks.PARENTS.get(frame, ''), name)}/{frame}"
+            self._frames[frame] = scene.add_frame(paths[frame], show_axes=False)
+        for number, part in enumerate(shown):
+            self._add_mesh(f"{paths[part.frame]}/mesh{number}", part.mesh, part.colour)
         self._object = scene.add_frame(f"{name}/object", show_axes=False, visible=False)
         self._add_mesh(f"{name}/object/box", looks.box(object_size_m), looks.OBJECT)
         self._mark = scene.add_cylinder(f"{name}/target", _MARK_M / 2.0, 0.001, color=_MARK_COLOUR, visible=False)
@@ -82,13 +84,15 @@ class ArmView:
 
     def pose(self, joints_rad: Sequence[float] | Vector, compression_m: float = 0.0) -> None:
         """Set joint1 to joint3 (rad; further ones are ignored): the rest follows, as the rods have it."""
-        for name, (position, wxyz) in looks.poses(joints_rad, compression_m).items():  # type: ignore[arg-type]
-            if name in self._frames:
-                self._frames[name].position, self._frames[name].wxyz = position, wxyz
+        poses = looks.poses(joints_rad, compression_m)  # type: ignore[arg-type]
+        for name, frame in self._frames.items():
+            parent = looks.PARENTS.get(name)
+            frame.position, frame.wxyz = looks.seen_from(poses[parent], poses[name]) if parent else poses[name]
+        self._cup_m = np.array(poses["cup"][0])
 
     def cup_m(self) -> Vector:
         """Where the drawn cup's tip is, shape (3,), from the base."""
-        return np.asarray(self._frames["cup"].position)
+        return self._cup_m
 
     def put_object(self, top_m: Sequence[float] | Vector | None) -> None:
         """Show the object with the centre of its upper surface there (x, y, z from the base); ``None`` hides it."""
