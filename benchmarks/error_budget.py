@@ -151,7 +151,7 @@ def main() -> None:
     print(table.to_string(index=False))
     for sweep, (label, *_) in SWEEPS.items():
         one = table[table["sweep"] == sweep]
-        picture = figures.picture(partial(draw, points=one, label=label), 2.4)
+        picture = figures.picture(partial(draw, points=one, label=label), label, 2.4).png
         files.replace(HERE.parent / "docs" / f"error_budget_{sweep}.png", picture)
 
 

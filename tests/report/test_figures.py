@@ -96,7 +96,7 @@ def test_the_words_beside_the_rewards_of_one_run_fit_into_the_picture(label):
         figures.draw_rewards(figure, [METHODS[0]._replace(label=label)], curves("position", "common_return", "return"))
         drawn.append(figure)
 
-    figures.picture(draw, 2.0)
+    figures.picture(draw, "words", 2.0)
     (figure,) = drawn
     for words in (*figure.texts, *(axes.title for axes in figure.axes)):
         box = words.get_window_extent()
@@ -117,8 +117,8 @@ def test_a_run_that_has_not_learned_yet_has_a_budget_of_nothing_and_no_warning(r
     budgets = dict.fromkeys(("experiences", "updates", "decisions", "simulated_s"), "words")
     curve = curves("experiences", "rate")[METHODS[0].folder].assign(updates=0, decisions=1, simulated_s=1)
     drawn = {METHODS[0].folder: curve}
-    picture = figures.picture(lambda figure: figures.draw_budgets(figure, METHODS[:1], drawn, "rate", budgets))
-    assert (len(picture) > 0, len(recwarn)) == (True, 0)
+    picture = figures.picture(lambda figure: figures.draw_budgets(figure, METHODS[:1], drawn, "rate", budgets), "words")
+    assert (len(picture.png) > 0, len(recwarn)) == (True, 0)
 
 
 def test_kinds_of_run_are_told_apart_without_colour_and_count_their_seeds(figure):

@@ -33,6 +33,7 @@ WRITTEN = {
     "reward_curve.png",
     "learning_curves.csv",
     "learning_curves.png",
+    "report.html",
 }
 
 

@@ -335,7 +335,7 @@ def test_everything_again_is_the_same_to_the_last_byte(tmp_path):
     assert report(tmp_path, compose("train")) == text
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == first
     written = {str(path.relative_to(tmp_path)) for path in first if "seed" not in str(path.relative_to(tmp_path))}
-    assert len(written) == 21 + 10
+    assert len(written) == 22 + 10
     assert {line for line in text.splitlines() if line.startswith("wrote ")} == {f"wrote {tmp_path / name}" for name in written}
 
 

@@ -1,4 +1,7 @@
-"""Rebuild all tables and figures from the CSV files in results/.
+"""Rebuild all tables and figures from the CSV files in results/, and a page of them all.
+
+report.html in the results folder is one file that needs no network: tables that sort, figures, recorded tests in 3-D (extra
+`view`), trials of the arm, and where every number comes from.
 
 Examples:
   uarm-rl report                                      tables and pictures in results/ and results/ablations/

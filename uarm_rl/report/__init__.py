@@ -13,8 +13,13 @@ Read ``report.py`` first: it assembles all of it. ``records.py`` reads and check
 - ``sample_efficiency.py``: success against what it cost
 - ``ablations.py``: the shorter runs that say why it works
 - ``arm_trials.py``: trials on an arm
+- ``replays.py``: recorded tests in 3-D, on the page alone
+- ``provenance.py``: engines, versions, hashes, on the page alone
+
+``page.py`` makes ``report.html`` of all sections; ``svg.py`` fits a figure into it; its frame, style and script are in
+``assets/``.
 
 ``inventory.py`` is no section: it lists the runs that a folder holds, for ``uarm-rl runs``.
 
-Uses ``task`` alone; the only owner of pandas and Matplotlib.
+Uses ``task``, and ``view`` where viser is installed; the only owner of pandas and Matplotlib.
 """

@@ -23,7 +23,7 @@ from uarm_rl.report.records import (
     read_evaluations,
     read_seeds,
 )
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Document, Heading, Picture, Section, Shown, Table
 from uarm_rl.studies import Point, Sweep, belongs, point, studies
 
 ABLATIONS: Final = "ablations"  # below the results folder
@@ -135,16 +135,16 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
                 table = table.sort_values([question.swept, "buffer"], ascending=question.swept != "sigma", kind="stable")
             found[name] = table
             section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question, found[name], curves)
-    for name, file in _CHOICES.items():
-        if name in found and len(choice := _choice(found[name], progress)):
-            section.contents[f"{ABLATIONS}/{file}.csv"] = tables.csv(choice)
-            section.contents[f"{ABLATIONS}/{file}.md"] = _choice_markdown(choice).encode()
     if found:
         stacked = pd.concat([table.assign(question=name) for name, table in found.items()])
         section.contents[f"{ABLATIONS}/ablations.csv"] = tables.csv(stacked[["question", *stacked.columns.drop("question")]])
-        section.contents[f"{ABLATIONS}/ablations.md"] = _markdown(found).encode()
+        section.contents[f"{ABLATIONS}/ablations.md"] = _document(found)
         learning = pd.concat(curve.assign(run=run) for run, curve in curves.items())
         section.contents[f"{ABLATIONS}/learning_curves.csv"] = tables.csv(learning[["run", *learning.columns.drop("run")]])
+    for name, file in _CHOICES.items():
+        if name in found and len(choice := _choice(found[name], progress)):
+            section.contents[f"{ABLATIONS}/{file}.csv"] = tables.csv(choice)
+            section.contents[f"{ABLATIONS}/{file}.md"] = _choice_document(choice)
     return section
 
 
@@ -246,7 +246,7 @@ def _end(progress: pd.DataFrame) -> pd.DataFrame:
     return end
 
 
-def _choice_markdown(choice: pd.DataFrame) -> str:
+def _choice_document(choice: pd.DataFrame) -> Document:
     rates = [*_BOTH, "score", "standard_error"]
     cells = [
         [row["setting"], str(row["seeds"]), *(tables.percent(row[rate]) for rate in rates)] for row in tables.records(choice)
@@ -256,18 +256,18 @@ def _choice_markdown(choice: pd.DataFrame) -> str:
         f"Success on the validation positions, mean of the last {_LAST_VALIDATIONS} validations of each run. "
         "The score is the mean of both methods; its standard error is over seeds."
     )
-    return f"{tables.markdown(headings, cells)}\n{words}\n"
+    return Document(Table(headings, cells, title="Both methods with each setting, on the validation positions"), words)
 
 
-def _picture(question: Question, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> bytes:
-    swept = question.swept
+def _picture(question: Question, table: pd.DataFrame, curves: Mapping[str, pd.DataFrame]) -> Picture:
+    swept, words = question.swept, question.title
     if swept == "servo_rise_s":
-        return figures.picture(lambda figure: figures.draw_servo_sweep(figure, table), 2.6)
+        return figures.picture(lambda figure: figures.draw_servo_sweep(figure, table), words, 2.6)
     if swept == "sigma":
-        return figures.picture(lambda figure: figures.draw_sigma_sweep(figure, table))
+        return figures.picture(lambda figure: figures.draw_sigma_sweep(figure, table), words)
     if swept == "setting":
-        return figures.picture(lambda figure: figures.draw_settings(figure, table), 2.6)
-    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE, timed=question.timed))
+        return figures.picture(lambda figure: figures.draw_settings(figure, table), words, 2.6)
+    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE, timed=question.timed), words)
 
 
 def _missing(
@@ -291,8 +291,8 @@ def _absent(sweep: Sweep, runs: Sequence[Point]) -> int:
     return sum(not any(one.items() <= run.items() for run in runs) for one in wanted)
 
 
-def _markdown(found: Mapping[str, pd.DataFrame]) -> str:
-    text = []
+def _document(found: Mapping[str, pd.DataFrame]) -> Document:
+    parts: list[Heading | Table | Shown] = []
     for name, table in found.items():
         swept = QUESTIONS[name].swept
         further = [*([swept] if swept else []), "control_steps_per_decision", _DISPLACEMENT, _TRAINING_DISPLACEMENT]
@@ -301,8 +301,8 @@ def _markdown(found: Mapping[str, pd.DataFrame]) -> str:
             for row in tables.records(table)
         ]
         headings = ("Run", "Seeds", "Success (95 % interval)", *(_HEADINGS[column] for column in further))
-        text.append(f"## {QUESTIONS[name].title}\n\n{tables.markdown(headings, cells)}\n![{name}]({name}.png)\n")
-    return "\n".join(text)
+        parts += [Heading(QUESTIONS[name].title), Table(headings, cells), Shown(f"{name}.png")]
+    return Document(*parts)
 
 
 def _cell(column: str, value: float | str) -> str:

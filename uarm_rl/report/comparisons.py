@@ -10,7 +10,7 @@ import pandas as pd
 
 from uarm_rl.report import statistics, tables
 from uarm_rl.report.records import METHODS
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Document, Section, Table
 
 _PAIRS: Final = (("A", "B"), ("C", "D"), ("A", "C"), ("B", "D"))
 
@@ -42,7 +42,7 @@ def comparisons(evaluations: Mapping[str, pd.DataFrame]) -> Section:
     paired, summed = list(_per_seed(rows)), list(_over_seeds(rows))
     if summed:
         section.contents["comparisons.csv"] = tables.csv(pd.DataFrame([*paired, *summed]))
-        section.contents["comparisons.md"] = _markdown(paired, summed).encode()
+        section.contents["comparisons.md"] = Document(*_parts(paired, summed))
     return section
 
 
@@ -76,7 +76,7 @@ def _row(comparison: str, seed: object, seeds: int, difference: float) -> dict[s
     return {"comparison": comparison, "seed": seed, "seeds": seeds, "difference": difference, **unknown}
 
 
-def _markdown(paired: list[dict[str, Any]], summed: list[dict[str, Any]]) -> str:
+def _parts(paired: list[dict[str, Any]], summed: list[dict[str, Any]]) -> Iterator[Table | str]:
     cells = [
         [
             f"{row['comparison']} ({_MEANINGS[row['comparison']]})" if row["comparison"] in _MEANINGS else row["comparison"],
@@ -86,8 +86,8 @@ def _markdown(paired: list[dict[str, Any]], summed: list[dict[str, Any]]) -> str
         ]
         for row in summed
     ]
-    text = tables.markdown(("Comparison", "Seeds", "Difference (points of success)", "95 % interval"), cells)
-    text += "\n" + _limits(min(row["seeds"] for row in summed)) + "\n"
+    yield Table(("Comparison", "Seeds", "Difference (points of success)", "95 % interval"), cells)
+    yield _limits(min(row["seeds"] for row in summed))
     if paired:
         cells = [
             [
@@ -108,13 +108,12 @@ def _markdown(paired: list[dict[str, Any]], summed: list[dict[str, Any]]) -> str
             "Only second reaches",
             "p (exact McNemar)",
         )
-        text += "\n" + tables.markdown(headings, cells)
-        text += (
-            "\nEach test compares two trained policies on the same positions; it says nothing about other seeds. "
+        yield Table(headings, cells)
+        yield (
+            "Each test compares two trained policies on the same positions; it says nothing about other seeds. "
             f"The p-values are not corrected: with {len(paired)} tests, {0.05 / len(paired):.2g} each keeps the chance of "
-            "one false alarm at 5 %.\n"
+            "one false alarm at 5 %."
         )
-    return text
 
 
 def _limits(seeds: int) -> str:

@@ -23,7 +23,7 @@ from uarm_rl.report.records import (
     read_evaluations,
     trained_in,
 )
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Document, Section, Table
 
 _ENGINES: Final = {"pybullet": "PyBullet", "mujoco": "MuJoCo"}
 _MUJOCO: Final = "mujoco"  # below the results folder: what was trained there, and trajectories.csv
@@ -48,7 +48,7 @@ def engines(results_dir: Path, shown: Sequence[Method], runs: Runs, standard: Ma
     section = Section(remarks=_missing(results_dir, runs, standard))
     if rows:
         section.contents["engines.csv"] = tables.csv(pd.DataFrame(rows))
-        section.contents["engines.md"] = f"{_markdown(rows)}{_apart(folder / 'trajectories.csv')}".encode()
+        section.contents["engines.md"] = Document(*_compared(rows), *_apart(folder / "trajectories.csv"))
     return section
 
 
@@ -77,7 +77,7 @@ def _row(method: Method, folders: Sequence[Path], tests: Mapping[str, pd.DataFra
     }
 
 
-def _markdown(rows: Sequence[Mapping[str, Any]]) -> str:
+def _compared(rows: Sequence[Mapping[str, Any]]) -> tuple[Table, str]:
     headings = (
         "Method",
         "Trained in",
@@ -99,7 +99,7 @@ def _markdown(rows: Sequence[Mapping[str, Any]]) -> str:
         ]
         for row in rows
     ]
-    return f"{tables.markdown(headings, cells, left=2)}\n{_CAPTION}\n"
+    return Table(headings, cells, left=2), _CAPTION
 
 
 def _of(engine: str, row: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,10 +107,10 @@ def _of(engine: str, row: Mapping[str, Any]) -> dict[str, Any]:
     return {key.removeprefix(f"{engine}_"): value for key, value in row.items()}
 
 
-def _apart(path: Path) -> str:
+def _apart(path: Path) -> tuple[Table | str, ...]:
     """The table of how far the engines are apart; empty if nobody measured it."""
     if not path.exists():
-        return ""
+        return ()
     rows = pd.DataFrame(read(path, columns.TRAJECTORIES))
     cells = []
     for motion, episodes in rows.groupby("motion", sort=False):
@@ -125,7 +125,7 @@ def _apart(path: Path) -> str:
         "Episodes",
         *(f"{what} apart, {how} (mm)" for what in ("Cup", "Object") for how in ("median", "most")),
     )
-    return f"\n{tables.markdown(headings, cells)}\n{_APART}\n"
+    return Table(headings, cells), _APART
 
 
 def _missing(results_dir: Path, runs: Runs, standard: Mapping[str, pd.DataFrame]) -> list[str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import pandas as pd
 
 from uarm_rl.report import tables
+from uarm_rl.report.tables import Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,8 +43,12 @@ _INTERVAL: Final = "bars: 95 % interval"
 _BAND: Final = "line: mean of seeds, band: their range"
 
 
-def picture(draw: Callable[[Figure], None], height_in: float = 4.4) -> bytes:
-    """A PNG as wide as a column of a paper, the same bytes every time and whatever matplotlibrc says."""
+def picture(draw: Callable[[Figure], None], words: str, height_in: float = 4.4) -> Picture:
+    """A figure as wide as a column of a paper, the same bytes every time and whatever matplotlibrc says.
+
+    ``words`` say what it shows.
+    """
+    import matplotlib
     import matplotlib.style
     from matplotlib.figure import Figure
 
@@ -56,9 +61,12 @@ def picture(draw: Callable[[Figure], None], height_in: float = 4.4) -> bytes:
         }
         if handles:
             figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=2, frameon=False)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+        png, svg = io.BytesIO(), io.StringIO()
+        figure.savefig(png, format="png", metadata={"Software": None})
+        figure.set_layout_engine("none")  # as it is
+        with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": words}):
+            figure.savefig(svg, format="svg", metadata={"Date": None}, transparent=True)
+    return Picture(words, png.getvalue(), svg.getvalue())
 
 
 def draw_rewards(figure: Figure, methods: Sequence[Method], curves: Mapping[str, pd.DataFrame]) -> None:
@@ -131,7 +139,7 @@ def draw_paper_fit(figure: Figure, methods: Sequence[Method], curves: Mapping[st
         axes.plot(place, row["paper_success_rate"], marker=marker, fillstyle="none", color="black", markersize=5, linestyle="")
     axes.set(
         xlabel=f"Tolerance (mm)\nat the fitted {fitted:.1f} mm (grey: its 95 % interval), moved aside:\n"
-        f"filled: ours, {_INTERVAL}; hollow, black: the paper's",
+        f"filled: ours, {_INTERVAL}; hollow: the paper's",
         xscale="log",
         xlim=(1, _WIDEST_MM),
     )
@@ -149,7 +157,7 @@ def draw_holds(figure: Figure, table: pd.DataFrame) -> None:
     seeds = table.groupby("method")["seeds"].max()
     for row in tables.records(table):
         x, y = tested.index(row["tested_hold"]), labels.index(row["method"])
-        colour = "black" if row["success_rate"] > 0.5 else "white"
+        colour = "0.1" if row["success_rate"] > 0.5 else "white"  # no black, which is the page's own colour
         weight = "bold" if row["tested_hold"] == row["trained_hold"] else "normal"
         axes.text(x, y, tables.percent(row["success_rate"]), ha="center", va="center", color=colour, weight=weight)
     axes.set_xticks(range(len(tested)), tested)

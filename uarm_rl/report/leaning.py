@@ -10,7 +10,7 @@ import pandas as pd
 
 from uarm_rl.report import tables
 from uarm_rl.report.records import Method, Runs, command, find_runs, lacking, methods, read_config, read_evaluations
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Document, Section, Table
 
 #: The files beside the standard test, and the options of `uarm-rl evaluate` for each.
 _TESTS: Final = {
@@ -50,7 +50,7 @@ def leaning(results_dir: Path, shown: Sequence[Method], runs: Runs, standard: Ma
     rows = [*_rows(shown, runs, standard), *_rows(trained_so, found, read_evaluations(found))]
     if rows:
         section.contents["leaning.csv"] = tables.csv(pd.DataFrame(rows))
-        section.contents["leaning.md"] = f"{tables.markdown(_HEADINGS, [*map(_cells, rows)], left=5)}\n{_CAPTION}\n".encode()
+        section.contents["leaning.md"] = Document(Table(_HEADINGS, [*map(_cells, rows)], left=5), _CAPTION)
     return section
 
 

@@ -13,7 +13,7 @@ from uarm_rl.report.records import METHODS, RETURNS, TRACES, Method, Runs, comma
 from uarm_rl.report.tables import Section
 
 SMOOTHING_EPISODES: Final = 20
-_TRACES: Final = "evaluation-traces.csv"
+TRACES_FILE: Final = "evaluation-traces.csv"
 
 
 def rewards(shown: Sequence[Method], evaluations: Mapping[str, pd.DataFrame]) -> Section:
@@ -26,7 +26,9 @@ def rewards(shown: Sequence[Method], evaluations: Mapping[str, pd.DataFrame]) ->
         {
             "reward_curve.csv": tables.csv(tables.stacked(shown, curves)),
             "reward_curve.png": figures.picture(
-                lambda figure: figures.draw_rewards(figure, drawn, curves), 1.2 + 0.8 * len(drawn)
+                lambda figure: figures.draw_rewards(figure, drawn, curves),
+                "The reward of each method on each test position",
+                1.2 + 0.8 * len(drawn),
             ),
         }
     )
@@ -51,6 +53,7 @@ def learning(shown: Sequence[Method], progress: Mapping[str, pd.DataFrame]) -> S
             "learning_curves.csv": tables.csv(tables.stacked(shown, curves)),
             "learning_curves.png": figures.picture(
                 lambda figure: figures.draw_learning(figure, drawn, curves, smoothed_over=SMOOTHING_EPISODES),
+                "Validation success and return while the methods learn",
                 4.8,
             ),
         }
@@ -65,7 +68,7 @@ def shaking(results_dir: Path, shown: Sequence[Method], runs: Runs) -> Section:
     a, b, c, d = shown[: len(METHODS)]
     pairs = [(a, b), (c, d)]
     for pair in pairs:
-        recorded = [[run / _TRACES for run in runs[method.folder] if (run / _TRACES).exists()] for method in pair]
+        recorded = [[run / TRACES_FILE for run in runs[method.folder] if (run / TRACES_FILE).exists()] for method in pair]
         if all(recorded):
             traces = {method: pd.DataFrame(read(paths[0], TRACES)) for method, paths in zip(pair, recorded, strict=True)}
             common = sorted(set.intersection(*(set(trace["position"]) for trace in traces.values())))
@@ -73,9 +76,10 @@ def shaking(results_dir: Path, shown: Sequence[Method], runs: Runs) -> Section:
                 durations_s = traces[pair[1]].groupby("position")["time_s"].max()
                 position = int(durations_s[common].idxmax())
                 chosen = {method: trace[trace["position"] == position] for method, trace in traces.items()}
-                picture = figures.picture(lambda figure: figures.draw_shaking(figure, chosen, position=position))  # noqa: B023
+                words = "One episode of an arm that waits beside one that does not: its tip and its joints"
+                picture = figures.picture(lambda figure: figures.draw_shaking(figure, chosen, position=position), words)  # noqa: B023
                 return Section({"shaking.png": picture})
     if not all(runs[method.folder] for method in pairs[0]) and not all(runs[method.folder] for method in pairs[1]):
         return Section()  # nothing to compare
     record = command(results_dir, "evaluate traces=3")
-    return Section(remarks=[f"no shaking.png: {_TRACES} is missing for A and B, or C and D; {record} records it"])
+    return Section(remarks=[f"no shaking.png: {TRACES_FILE} is missing for A and B, or C and D; {record} records it"])

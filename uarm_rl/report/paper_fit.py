@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from uarm_rl.report import figures, statistics, tables
 from uarm_rl.report.records import METHODS, Method, Runs, check_engines, missing, read_evaluations, read_paper
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Document, Section, Table
 
 #: The files that `make paper` makes for this, and the options of `uarm-rl evaluate` for each.
 _TESTS: Final = {
@@ -58,12 +58,14 @@ def paper_fit(results_dir: Path, methods: Sequence[Method], runs: Runs, standard
     ]
     if rows:
         section.contents["paper_fit.csv"] = tables.csv(pd.DataFrame(rows))
-        section.contents["paper_fit.md"] = _markdown(rows, fit, paper[_FITTED.label], validation[_FITTED.folder]).encode()
+        section.contents["paper_fit.md"] = _document(rows, fit, paper[_FITTED.label], validation[_FITTED.folder])
         drawn = [(method, row) for method, row in zip(shown, rows, strict=True) if method.folder in folders]
         curves = {method.label: _curve(test[method.folder]) for method, _ in drawn}
         points = pd.DataFrame(row for _, row in drawn)
         section.contents["paper_fit.png"] = figures.picture(
-            lambda figure: figures.draw_paper_fit(figure, [method for method, _ in drawn], curves, points), 3.0
+            lambda figure: figures.draw_paper_fit(figure, [method for method, _ in drawn], curves, points),
+            "Success at every tolerance, and at the fitted one beside the paper's",
+            3.0,
         )
     return section
 
@@ -114,7 +116,7 @@ def _curve(rows: pd.DataFrame) -> pd.DataFrame:
     return curve
 
 
-def _markdown(rows: Sequence[Mapping[str, Any]], fit: Fit, rate: float, validation: pd.DataFrame) -> str:
+def _document(rows: Sequence[Mapping[str, Any]], fit: Fit, rate: float, validation: pd.DataFrame) -> Document:
     trained_m = next((row["trained_tolerance_m"] for row in rows if not math.isnan(row["trained_tolerance_m"])), math.nan)
     trained = "the trained tolerance" if math.isnan(trained_m) else f"{1000.0 * trained_m:g} mm"
     headings = (
@@ -144,4 +146,4 @@ def _markdown(rows: Sequence[Mapping[str, Any]], fit: Fit, rate: float, validati
         f"paper's {tables.percent(rate)} on the {validation['position'].nunique()} validation positions. Its success on the "
         f"test positions says whether the two sets agree; the others' are predictions. All were trained with {trained}."
     )
-    return f"{tables.markdown(headings, cells, left=3)}\n{words}\n"
+    return Document(Table(headings, cells, left=3), words)

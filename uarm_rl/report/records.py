@@ -92,7 +92,23 @@ PROGRESS: Final = pick(columns.PROGRESS, "episode", *BUDGETS, "episode_return", 
 #: Further columns of the log, on what the object suffered while the policy learned.
 DISTURBANCE: Final = pick(columns.PROGRESS, "successes", "object_losses", "object_moved_m")
 TRACES: Final = pick(columns.TRACES, "position", "time_s", *columns.STATE)
-TRIALS: Final = pick(columns.TRIALS, "success", "reached", "emulated")
+#: Trials: what the table counts, and what is shown of each where it is known.
+TRIALS: Final = {
+    **pick(columns.TRIALS, "success", "reached", "emulated"),
+    **{
+        name: columns.TRIALS[name]._replace(empty=True, optional=True)
+        for name in (
+            "trial",
+            "target_x_m",
+            "target_y_m",
+            "time_s",
+            "final_distance_m",
+            "decisions",
+            "camera_misfit_px",
+            "reason",
+        )
+    },
+}
 
 #: The engine of the published runs, and of whatever does not say its engine because it is older.
 OLDEST_ENGINE: Final = "pybullet"

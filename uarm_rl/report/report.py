@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from uarm_rl import files
+from uarm_rl import files, progress
 from uarm_rl.report import tables
 from uarm_rl.report.ablations import ABLATIONS, ablations
 from uarm_rl.report.arm_trials import arm_trials
@@ -14,16 +14,22 @@ from uarm_rl.report.comparisons import comparisons
 from uarm_rl.report.engines import engines
 from uarm_rl.report.leaning import leaning
 from uarm_rl.report.learning import learning, rewards, shaking
+from uarm_rl.report.page import page
 from uarm_rl.report.paper_fit import paper_fit
+from uarm_rl.report.provenance import provenance
 from uarm_rl.report.records import PROGRESS, ReportError, command, find_runs, in_engines, methods, read_evaluations, read_seeds
+from uarm_rl.report.replays import replays
 from uarm_rl.report.robustness import held_out, holds, tolerance
 from uarm_rl.report.sample_efficiency import budgets
 from uarm_rl.report.table1 import table1
 from uarm_rl.report.tables import Section
 
+#: The report in one file for readers, below the results folder.
+PAGE: Final = "report.html"
+
 
 def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
-    """Rebuild the tables and pictures in ``results_dir`` from the CSV files below it; returns Table 1 to print.
+    """Rebuild tables, pictures and ``report.html`` in ``results_dir`` from the CSV files below it; returns Table 1 to print.
 
     Reads ``<name>/seed<k>/progress.csv``, ``evaluation.csv`` and the other evaluations there, ``paper.csv`` (if absent,
     the packaged one), and the runs in ``ablations/``. Tables and pictures show every run that is there. Raises
@@ -37,34 +43,38 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
     runs = {method.folder: found.get(method.folder, []) for method in shown}
     evaluations = read_evaluations(runs)
     shown = in_engines(shown, runs, evaluations)
-    progress = {folder: read_seeds(seeds, "progress.csv", PROGRESS) for folder, seeds in runs.items()}
+    logs = {folder: read_seeds(seeds, "progress.csv", PROGRESS) for folder, seeds in runs.items()}
 
-    sections = [
-        table1(results_dir, shown, runs, evaluations),
-        paper_fit(results_dir, shown, runs, evaluations),
-        rewards(shown, evaluations),
-        learning(shown, progress),
-        shaking(results_dir, shown, runs),
-        comparisons(evaluations),
-        budgets(shown, progress, evaluations),
-        tolerance(results_dir, shown, runs, evaluations),
-        held_out(results_dir, shown, runs, evaluations),
-        holds(results_dir, shown, runs, evaluations),
-        leaning(results_dir, shown, runs, evaluations),
-        engines(results_dir, methods(found), runs, evaluations),
-        ablations(results_dir, usual),
-        arm_trials(results_dir),
-    ]
+    made: dict[str, Callable[[], Section]] = {
+        "Table 1: success beside the paper's": lambda: table1(results_dir, shown, runs, evaluations),
+        "The paper's table at a fitted tolerance": lambda: paper_fit(results_dir, shown, runs, evaluations),
+        "Reward on each test position": lambda: rewards(shown, evaluations),
+        "Learning": lambda: learning(shown, logs),
+        "Waiting and shaking": lambda: shaking(results_dir, shown, runs),
+        "Which differences can be shown": lambda: comparisons(evaluations),
+        "What success cost": lambda: budgets(shown, logs, evaluations),
+        "Other tolerances": lambda: tolerance(results_dir, shown, runs, evaluations),
+        "Held-out positions": lambda: held_out(results_dir, shown, runs, evaluations),
+        "Other holds": lambda: holds(results_dir, shown, runs, evaluations),
+        "Leaning on the object": lambda: leaning(results_dir, shown, runs, evaluations),
+        "Two engines": lambda: engines(results_dir, methods(found), runs, evaluations),
+        "Why it works: shorter runs": lambda: ablations(results_dir, usual),
+        "Replays": lambda: replays(shown, runs, evaluations),
+        "Trials of the arm": lambda: arm_trials(results_dir),
+        "Where the numbers come from": lambda: provenance(results_dir),
+    }
+    sections = {title: make() for title, make in progress.shown(made.items(), len(made), "section", "report")}
     names = _write(results_dir, sections)
-    texts = [section.text for section in sections if section.text]
-    remarks = [remark for section in sections for remark in section.remarks]
+    texts = [section.text for section in sections.values() if section.text]
+    remarks = [remark for section in sections.values() for remark in section.remarks]
     wrote = [f"wrote {tables.shown(results_dir / name)}" for name in names]
     return "\n".join([*texts, "", *remarks, *wrote])
 
 
-def _write(results_dir: Path, sections: Iterable[Section]) -> list[str]:
-    """Replace the files, each atomically; their names."""
-    contents = {name: content for section in sections for name, content in section.contents.items()}
+def _write(results_dir: Path, sections: Mapping[str, Section]) -> list[str]:
+    """Replace the files, each atomically, the page last; their names."""
+    contents = {name: content for section in sections.values() for name, content in section.files().items()}
+    contents[PAGE] = page(sections)
     try:
         for name, content in contents.items():
             files.replace(results_dir / name, content)

@@ -12,7 +12,7 @@ import pandas as pd
 
 from uarm_rl.report import figures, tables
 from uarm_rl.report.records import Method, Runs, check_engines, missing, read_evaluations
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Document, Section, Table
 
 Evaluations = Mapping[str, pd.DataFrame]
 
@@ -44,8 +44,10 @@ def tolerance(results_dir: Path, methods: Sequence[Method], runs: Runs, standard
     drawn = [method for method in methods if len(standard[method.folder])]
     if len(tests) > 1 and drawn:
         section.contents["tolerance.csv"] = tables.csv(table)
-        section.contents["tolerance.png"] = figures.picture(lambda figure: figures.draw_tolerance(figure, drawn, table), 3.0)
-        section.contents["tolerance.md"] = f"{_MARGIN}\n".encode()
+        section.contents["tolerance.png"] = figures.picture(
+            lambda figure: figures.draw_tolerance(figure, drawn, table), "Success at a few tolerances", 3.0
+        )
+        section.contents["tolerance.md"] = Document(_MARGIN)
     return section
 
 
@@ -81,7 +83,7 @@ def held_out(results_dir: Path, methods: Sequence[Method], runs: Runs, standard:
             for row in rows
         ]
         section.contents["heldout.csv"] = tables.csv(pd.DataFrame(rows))
-        section.contents["heldout.md"] = tables.markdown(headings, cells, left=2).encode()
+        section.contents["heldout.md"] = Document(Table(headings, cells, left=2))
     return section
 
 
@@ -98,9 +100,11 @@ def holds(results_dir: Path, methods: Sequence[Method], runs: Runs, standard: Ev
     if len(table):
         table = table.sort_values("tested_hold", key=lambda holds: holds.str.len(), kind="stable")  # fixed(1), fixed(13)
         section.contents["holds.csv"] = tables.csv(table)
-        section.contents["holds.md"] = _holds_markdown(table).encode()
+        section.contents["holds.md"] = _holds_document(table)
         worded = table.assign(**{column: table[column].map(hold_words) for column in ("trained_hold", "tested_hold")})
-        section.contents["holds.png"] = figures.picture(lambda figure: figures.draw_holds(figure, worded), 2.6)
+        section.contents["holds.png"] = figures.picture(
+            lambda figure: figures.draw_holds(figure, worded), "Success of each method with each hold", 2.6
+        )
     return section
 
 
@@ -118,7 +122,7 @@ def hold_words(label: str) -> str:
     return label or "-"
 
 
-def _holds_markdown(table: pd.DataFrame) -> str:
+def _holds_document(table: pd.DataFrame) -> Document:
     """A row for each method and a column for each tested hold; that of the training is bold."""
     tested = list(dict.fromkeys(table["tested_hold"]))
     lines = []
@@ -127,7 +131,7 @@ def _holds_markdown(table: pd.DataFrame) -> str:
         cells = {row["tested_hold"]: tables.success_text(row) for row in tables.records(rows)}
         marked = {hold: f"**{cell}**" if hold == trained else cell for hold, cell in cells.items()}
         lines.append([str(label), hold_words(trained), *(marked.get(hold, "-") for hold in tested)])
-    return tables.markdown(("Method", "Trained with", *(f"Tested with {hold_words(hold)}" for hold in tested)), lines, left=2)
+    return Document(Table(("Method", "Trained with", *(f"Tested with {hold_words(hold)}" for hold in tested)), lines, left=2))
 
 
 def _tests(runs: Runs, pattern: str) -> list[dict[str, pd.DataFrame]]:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from uarm_rl.report import figures, tables
 from uarm_rl.report.records import BUDGETS, Method
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Document, Section, Table
 
 _RATE: Final = "validation_success_rate"
 _ENOUGH: Final = 0.95
@@ -48,9 +48,11 @@ def budgets(
     )
     section.contents = {
         "budgets.csv": tables.csv(table),
-        "budgets.png": figures.picture(lambda figure: figures.draw_budgets(figure, drawn, curves, _RATE, axes)),
+        "budgets.png": figures.picture(
+            lambda figure: figures.draw_budgets(figure, drawn, curves, _RATE, axes), "Validation success against four costs"
+        ),
         "steps_to_95.csv": tables.csv(reached[["method", "seed", "episode", *values]]),
-        "steps_to_95.md": _markdown(reached).encode(),
+        "steps_to_95.md": _document(reached),
     }
     return section
 
@@ -76,15 +78,15 @@ def _first_enough(validated: pd.DataFrame) -> list[dict[str, Any]]:
     ]
 
 
-def _markdown(reached: pd.DataFrame) -> str:
+def _document(reached: pd.DataFrame) -> Document:
     lines = [
         [str(label), f"{rows['episode'].notna().sum()} of {len(rows)}", *(_span(rows[axis].dropna()) for axis in _AXES)]
         for label, rows in reached.groupby("method", sort=False)
     ]
-    return (
-        tables.markdown(("Method", "Seeds that reached it", *_AXES.values()), lines)
-        + f"\nUntil {100 * _ENOUGH:g} % of the validation positions were first reached: mean over the seeds that did, and "
-        "their range. A first time can be luck; the curve in budgets.png shows whether it stayed.\n"
+    return Document(
+        Table(("Method", "Seeds that reached it", *_AXES.values()), lines),
+        f"Until {100 * _ENOUGH:g} % of the validation positions were first reached: mean over the seeds that did, and "
+        "their range. A first time can be luck; the curve in budgets.png shows whether it stayed.",
     )
 
 

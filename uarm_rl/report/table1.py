@@ -10,7 +10,7 @@ import pandas as pd
 
 from uarm_rl.report import tables
 from uarm_rl.report.records import LEANING, METHODS, SHAKING, Method, Runs, command, read_paper
-from uarm_rl.report.tables import Section
+from uarm_rl.report.tables import Content, Document, Section, Table
 
 _FURTHER: Final = {**SHAKING, **LEANING}
 CAPTION: Final = (
@@ -35,9 +35,9 @@ def table1(results_dir: Path, methods: Sequence[Method], runs: Runs, evaluations
     paper = read_paper(results_dir)
     rows = [_row(method, evaluations[method.folder], paper) for method in methods]
     cells = [_cells(row, trained=len(runs[method.folder])) for row, method in zip(rows, methods, strict=True)]
-    contents = {
+    contents: dict[str, Content] = {
         "table1.csv": tables.csv(pd.DataFrame(rows)),
-        "table1.md": f"{tables.markdown(_HEADINGS, cells, left=3)}\n{CAPTION}\n".encode(),
+        "table1.md": Document(Table(_HEADINGS, cells, left=3), CAPTION),
     }
     return Section(contents, _remarks(results_dir, runs), tables.aligned(_HEADINGS, cells, left=3))
 

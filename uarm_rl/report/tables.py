@@ -1,4 +1,4 @@
-"""From rows to the report's CSV, Markdown and text tables: what all sections of the report share."""
+"""From rows to the report's tables, and what a section is made of, for files and page alike: what all sections share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -21,13 +21,117 @@ _BOOTSTRAP_SEED: Final = 20190701  # any fixed number: the same files give the s
 _BOOTSTRAP_WORK: Final = 1_000_000
 
 
+class Table(NamedTuple):
+    """A table for readers, whose first ``left`` columns are words and whose others are numbers; cells are Markdown."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    left: int = 1
+    title: str = ""  # on the page, above what is folded
+
+    def markdown(self) -> str:
+        """The table as Markdown."""
+        rule = ["---"] * self.left + ["---:"] * (len(self.headings) - self.left)
+        return "".join("| " + " | ".join(row) + " |\n" for row in (self.headings, rule, *self.rows))
+
+
+class Heading(NamedTuple):
+    """The title of what follows in a document."""
+
+    words: str
+
+    def markdown(self) -> str:
+        """The heading as Markdown."""
+        return f"## {self.words}\n"
+
+
+class Shown(NamedTuple):
+    """A picture of the same section, by its file's name, in a document that lies beside it."""
+
+    file: str
+
+    def markdown(self) -> str:
+        """The picture's place in Markdown."""
+        return f"![{Path(self.file).stem}]({self.file})\n"
+
+
+class Photo(NamedTuple):
+    """A picture that was there before, for the page alone: what it shows, its media type, its bytes."""
+
+    words: str
+    kind: str
+    data: bytes
+
+    def markdown(self) -> str:
+        """What it shows."""
+        return f"{self.words}\n"
+
+
+class Replay(NamedTuple):
+    """One recording for a stage: who is to be seen, where, how it ended, and the recording itself, as base64."""
+
+    who: str
+    where: str
+    outcome: str
+    recording: str
+
+
+class Stage(NamedTuple):
+    """Replays in 3-D, for the page alone: the viewer's page before and after the recording's place, and what it can show."""
+
+    before: str
+    after: str
+    replays: Sequence[Replay]
+
+    def markdown(self) -> str:
+        """How each ended."""
+        return "".join(f"- {one.who}, {one.where}: {one.outcome}\n" for one in self.replays)
+
+
+Part = str | Table | Heading | Shown | Photo | Stage
+
+
+class Document:
+    """Paragraphs in Markdown, tables, headings and pictures, one below the other."""
+
+    def __init__(self, *parts: Part) -> None:
+        self.parts = parts
+
+    def encode(self) -> bytes:
+        """The bytes of a Markdown file."""
+        return "\n".join(f"{part}\n" if isinstance(part, str) else part.markdown() for part in self.parts).encode()
+
+
+class Picture(NamedTuple):
+    """A figure: what it shows, in words, and the same drawn as PNG and as SVG."""
+
+    words: str
+    png: bytes
+    svg: str
+
+    def encode(self) -> bytes:
+        """The bytes of a PNG file."""
+        return self.png
+
+
+Content = bytes | Document | Picture
+
+
 @dataclass
 class Section:
-    """A part of the report: its files, by their names, remarks on what is missing and which command makes it, its text."""
+    """A part of the report: its files, by their names, remarks on what is missing and which command makes it, its text.
 
-    contents: dict[str, bytes] = field(default_factory=dict)
+    ``page`` is what the page has beside the files.
+    """
+
+    contents: dict[str, Content] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
     text: str = ""
+    page: Document = field(default_factory=Document)
+
+    def files(self) -> dict[str, bytes]:
+        """The bytes of its files, by their names."""
+        return {name: one if isinstance(one, bytes) else one.encode() for name, one in self.contents.items()}
 
 
 def shown(path: Path) -> Path:
@@ -98,12 +202,6 @@ def success_text(row: Mapping[str, Any]) -> str:
     """``success`` in one cell: ``97 % (91.5 to 99 %)``."""
     rate, low, high = row["success_rate"], row["ci_low"], row["ci_high"]
     return f"{percent(rate)} ({percent(low, '')} to {percent(high)})" if row["seeds"] else "-"
-
-
-def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
-    """A Markdown table whose first ``left`` columns are words and whose others are numbers."""
-    rule = ["---"] * left + ["---:"] * (len(headings) - left)
-    return "".join("| " + " | ".join(row) + " |\n" for row in (headings, rule, *rows))
 
 
 def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from contextlib import redirect_stdout
@@ -16,6 +17,7 @@ import viser
 if TYPE_CHECKING:
     from uarm_rl.task.kinematics import Vector
 
+_REST_S: Final = 1.0  # at the end, before it begins again
 _GAP_M: Final = 0.02  # between two tables
 _DATA: Final = re.compile(r'(window\.__VISER_EMBED_DATA__=")([^"]*)(")')
 
@@ -46,22 +48,26 @@ def record(replays: Sequence[Sequence[Episode]], *, step_s: float, object_size_m
 
     The same episodes make the same bytes.
     """
-    with redirect_stdout(StringIO()):  # viser says unasked where it serves, which here nobody looks at
-        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-        try:
-            pages = [_record(server, episodes, step_s, object_size_m) for episodes in replays]
-        finally:
-            server.stop()
+    pages = [_record(episodes, step_s, object_size_m) for episodes in replays]
     parts = [_DATA.split(page) for page in pages]
     (before, opening, _, closing, after), *_ = parts
     return Replays(before + opening, closing + after, [part[2] for part in parts])
 
 
-def _record(server: viser.ViserServer, episodes: Sequence[Episode], step_s: float, object_size_m: float) -> str:
-    server.scene.reset()
-    server.gui.configure_theme(dark_mode=False)
+def _record(episodes: Sequence[Episode], step_s: float, object_size_m: float) -> str:
+    """One recording as viser's page, in a server of its own: one that was used before remembers, in any order, what it lost."""
+    with redirect_stdout(StringIO()):  # viser says unasked where it serves, which here nobody looks at
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            return _played(server, episodes, step_s, object_size_m)
+        finally:
+            server.stop()
+
+
+def _played(server: viser.ViserServer, episodes: Sequence[Episode], step_s: float, object_size_m: float) -> str:
     width = TABLE_M[1] + _GAP_M
-    server.initial_camera.position = (0.75 + 0.12 * len(episodes), 0.0, 0.45)
+    server.initial_camera.fov = math.radians(35.0)
+    server.initial_camera.position = (0.9 + 0.35 * len(episodes), 0.0, 0.75)
     server.initial_camera.look_at = (0.1, 0.0, 0.1)
     arms = []
     for number, episode in enumerate(episodes):
@@ -78,4 +84,5 @@ def _record(server: viser.ViserServer, episodes: Sequence[Episode], step_s: floa
                 arm.put_object(episode.targets_m[step])
                 arm.mark_target(episode.targets_m[step])
         serializer.insert_sleep(step_s)
+    serializer.insert_sleep(_REST_S)
     return str(serializer.as_html())

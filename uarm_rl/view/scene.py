@@ -64,7 +64,7 @@ class ArmView:
             position=(deep / 2.0 - _BEHIND_M, 0.0, -_TABLE_THICK_M / 2.0),
         )
         if title:
-            scene.add_label(f"{name}/title", title, position=(0.0, 0.0, 0.36), anchor="bottom-center")
+            scene.add_label(f"{name}/title", title, position=(0.0, 0.0, 0.36), anchor="bottom-center", font_screen_scale=1.5)
         self._cup_m: Vector = np.zeros(3)
         self._frames: dict[str, viser.FrameHandle] = {}
         paths: dict[str, str] = {}
