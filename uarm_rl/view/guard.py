@@ -36,6 +36,9 @@ _HEADERS: Final = {
     "Content-Security-Policy": "frame-ancestors 'none'",
 }
 _PORTS: Final = 0xFFFF
+# The end waits for connections: for those that a browser opens in case it needs them, and for a page that is busy drawing.
+_OPENING_S: Final = 1.0
+_FAREWELL_S: Final = 0.5
 
 Handler = Callable[[Any, Request], Response | None]
 
@@ -122,7 +125,8 @@ def _guarding(listening: socket.socket, gate: Gate) -> Iterator[list[bool]]:
 
     def serve(handler: Any, host: Any, port: Any, *, process_request: Handler, **options: Any) -> Any:
         guarded.append(True)
-        return original(handler, sock=listening, process_request=gate.checked(process_request), **options)
+        options |= {"sock": listening, "process_request": gate.checked(process_request)}
+        return original(handler, **options, open_timeout=_OPENING_S, close_timeout=_FAREWELL_S)
 
     setattr(websocket_server, "serve", serve)  # noqa: B010 (a function of a module is replaced)
     try:
