@@ -1,4 +1,4 @@
-"""Show an arm live in 3-D in a browser of this machine: a policy, a training in progress, or the arm while run-real works.
+"""Show an arm live in a browser: a policy, a training in progress, or the real arm.
 
 Examples:
   uarm-rl watch run=results/adaptive-plain/seed0      its policy tries position after position
