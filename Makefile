@@ -7,7 +7,7 @@ PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do "$$name" 
 DEMO_EPISODES ?= 100
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo paper ablations leaning engines test check bench torture clean
+.PHONY: demo paper ablations leaning engines test check docs bench torture clean
 
 demo: $(VENV)/.installed  ## train method C for a short budget, test it on the 100 positions, write the report
 	$(BIN)/uarm-rl train experiment=C episodes=$(DEMO_EPISODES) results_dir=demo resume=true
@@ -81,6 +81,9 @@ check: $(VENV)/.installed-dev  ## formatting, lint and types
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+docs: $(VENV)/.installed-docs  ## the documentation and the API, into build/docs/index.html; about a minute
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs
+
 bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side; about 10 minutes
 	$(BIN)/python benchmarks/bench.py
 
@@ -110,6 +113,10 @@ $(VENV)/.installed-launch: $(VENV)/.installed
 
 $(VENV)/.installed-engines: $(VENV)/.installed-launch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mujoco]'
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	@touch $@
 
 $(VENV)/.installed-bench: $(VENV)/.installed

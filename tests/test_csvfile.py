@@ -13,7 +13,7 @@ from uarm_rl.task import positions
 
 PLAIN = "x_m,y_m,z_m\n0.25,0.1,0.03\n0.2,-0.1,0.03\n"
 DECIMAL_COMMAS = PLAIN.replace(",", ";").replace(".", ",")
-README = Path(__file__).parents[1] / "README.md"
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_what_is_refused_says_what_was_found_where_and_what_is_expected(tmp_path
 
 
 def test_a_run_that_went_through_a_spreadsheet_gives_the_same_report(tmp_path):
-    committed = README.parent / "results" / "uniform-plain" / "seed0"
+    committed = ROOT / "results" / "uniform-plain" / "seed0"
     for name in ("plain", "saved"):
         folder = tmp_path / name / "uniform-plain" / "seed0"
         folder.mkdir(parents=True)
@@ -116,9 +116,3 @@ def test_an_optional_or_newer_column_may_be_absent(tmp_path):
     assert values["success"] == [1.0]
     with pytest.raises(CsvError, match="lacks the column x_m"):
         csvfile.read(path, POSITIONS)
-
-
-@pytest.mark.parametrize("file", ["trials.csv", "progress.csv", "evaluation.csv"])
-def test_the_readme_has_the_columns_as_they_are_declared(file):
-    table = columns.markdown(getattr(columns, file.removesuffix(".csv").upper()), file)
-    assert table in README.read_text()

@@ -1,6 +1,6 @@
 """The columns of every CSV file that the program reads or writes, declared once: name, kind, unit, meaning.
 
-Writers take their headers from here, readers what a cell may hold, and the tables of the README are held to it by a test.
+Writers take their headers from here, readers what a cell may hold, and the documentation has its tables from here.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def pick(columns: Columns, *names: str) -> Columns:
 
 
 def markdown(columns: Columns, file: str) -> str:
-    """The table of a file's columns as the README has it."""
+    """The table of a file's columns as the documentation has it."""
     rows = (f"| `{name}`{f' ({column.unit})' if column.unit else ''} | {column.meaning} |" for name, column in columns.items())
     return "\n".join([f"| `{file}` | |", "|---|---|", *rows]) + "\n"
 

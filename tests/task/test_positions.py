@@ -72,3 +72,9 @@ def test_what_is_saved_is_what_is_loaded(tmp_path):
     held = positions.load_packaged("validation_positions.csv")
     positions.save(tmp_path / "copy.csv", held)
     np.testing.assert_array_equal(positions.load(tmp_path / "copy.csv"), held)
+
+
+def test_an_object_of_another_height_stands_in_the_same_places():
+    as_drawn, higher = positions.load_named("validation"), positions.load_named("validation", 0.04)
+    assert np.array_equal(as_drawn[:, :2], higher[:, :2])
+    assert set(higher[:, 2]) == {0.04}

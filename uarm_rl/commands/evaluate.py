@@ -117,7 +117,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     run_settings = _under_test(settings, run_settings)
     settling = checks.one_of("until", settings["until"], ("success", "time_limit")) == "time_limit"
     thing = checks.one_of("object", settings["object"], ("solid", "ghost"))
-    where = positions.load_named(str(settings["positions"]))
+    where = positions.load_named(str(settings["positions"]), run_settings["sim"]["object_size_m"])
     policy = load_policy(run_dir, settings["policy"], run_settings)
     time_limit_s = run_settings["time_limit_s"]
     endless = {"dwell_s": time_limit_s + 1.0} if settling else {}  # who has to stay longer than there is time never succeeds

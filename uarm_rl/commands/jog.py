@@ -8,12 +8,14 @@ Examples:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from uarm_rl import checks, signals
 from uarm_rl.commands.arm_settings import motion
 from uarm_rl.configuration import Settings
 from uarm_rl.real import session
+from uarm_rl.task import kinematics
 
 _MOST_DEG: Final = 10.0
 _STRAY_DEG: Final = 0.5
@@ -33,8 +35,8 @@ def run(settings: Settings) -> None:
     how = motion(settings)
     with signals.interrupt_once(), session.connect(settings["port"], parks=False, **how) as arm:  # parking moves far
         before = arm.read_joints()
-        wanted = list(before)
-        wanted[joint - 1] += math.radians(degrees)
+        wanted = _inside(before)
+        wanted[joint - 1] = before[joint - 1] + math.radians(degrees)
         arm.move_joints(wanted)
         after = arm.read_joints()
     moved = [math.degrees(b - a) for a, b in zip(before, after, strict=True)]
@@ -47,3 +49,10 @@ def run(settings: Settings) -> None:
     moved[joint - 1] -= degrees
     if max(map(abs, moved)) > _STRAY_DEG:
         print("warning: the joints are not where they were sent; is something in the way, or are steps lost?")
+
+
+def _inside(joints: Sequence[float]) -> list[float]:
+    """The joints (rad), inside their limits if they are beyond them by a hair, as one with play reads at its stop."""
+    inside = kinematics.clip_to_limits(*joints)
+    beyond = max(abs(a - b) for a, b in zip(inside, joints, strict=True))
+    return list(inside if beyond <= math.radians(_STRAY_DEG) else joints)

@@ -58,7 +58,7 @@ def run(settings: Settings) -> None:
         print(f"{run_dir} is finished; nothing to do")
         return
     schedule = Schedule(**{name: settings[name] for name in Schedule.__dataclass_fields__})
-    validation_positions = positions.load_packaged("validation_positions.csv")
+    validation_positions = positions.load_packaged("validation_positions.csv", settings["sim"]["object_size_m"])
     with ExitStack() as stack:
         # Everything is built, and so every value checked, before the folder is touched.
         validation_env = stack.enter_context(closing(build_env(settings, time_limit_s=settings["time_limit_s"])))

@@ -127,8 +127,8 @@ class CameraSearch:
         if abs(box.scale - 1.0) > _MAX_WIDER:
             length, width, height = (1000.0 * side for side in self._size_m)
             raise TargetNotFoundError(
-                f"what is seen is {100.0 * box.scale:.0f}% as wide as an object of {length:g} x {width:g} x {height:g} mm; give its true "
-                "size with object_size_m=[length,width,height] in metres, or check the detector and the calibration"
+                f"what is seen is {100.0 * box.scale:.0f}% as wide as an object of {length:g} x {width:g} x {height:g} mm; "
+                "give its true size with object_size_m=[length,width,height] in metres, or check detector and calibration"
             )
         return box.top_m, box.misfit_px, picture
 

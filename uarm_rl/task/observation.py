@@ -1,4 +1,4 @@
-"""What the policy sees: the paper's 20 numbers (section 3.2; the reading of it is argued in the README), or more than these.
+"""What the policy sees: the paper's 20 numbers (section 3.2; as ``docs/paper.md`` reads it), or more than these.
 
 The paper's lack what the arm is still doing: its velocity, and the reference that it has not reached yet. The other kinds add
 one of these, or what they can be told from.

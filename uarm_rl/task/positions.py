@@ -58,20 +58,23 @@ def draw_file(name: str) -> Vector:
     return np.round([draw(generator, OBJECT_HEIGHT_M) for _ in range(rows)], 6)
 
 
-def load_packaged(name: str) -> Vector:
-    """One of the committed position files, shape (n, 3)."""
+def load_packaged(name: str, height_m: float = OBJECT_HEIGHT_M) -> Vector:
+    """One of the committed position files, shape (n, 3); an object of another height stands in the same places."""
     with resources.as_file(resources.files("uarm_rl.task") / name) as path:
-        return load(path)
+        return load(path, height_m)
 
 
-def load_named(name: str) -> Vector:
-    """The packaged ``test``, ``validation`` or ``heldout`` positions, or those of the file ``name``; shape (n, 3)."""
+def load_named(name: str, height_m: float = OBJECT_HEIGHT_M) -> Vector:
+    """The packaged ``test``, ``validation`` or ``heldout`` positions, or those of the file ``name``; shape (n, 3).
+
+    ``height_m`` is the object's, for the packaged ones.
+    """
     packaged = f"{name}_positions.csv"
-    return load_packaged(packaged) if packaged in FILES else load(Path(name))
+    return load_packaged(packaged, height_m) if packaged in FILES else load(Path(name))
 
 
-def load(path: Path) -> Vector:
-    """Positions of a CSV file with the columns x_m, y_m, z_m; shape (n, 3).
+def load(path: Path, height_m: float | None = None) -> Vector:
+    """Positions of a CSV file with the columns x_m, y_m, z_m, the last ``height_m`` instead where it is given; shape (n, 3).
 
     Raises :class:`ValueError` with a sentence that names file and line when a column is missing, a value is not a
     finite number, or the cup cannot reach a position.
@@ -80,6 +83,8 @@ def load(path: Path) -> Vector:
     if not table.lines:
         raise ValueError(f"{path} holds no positions; it needs at least one row below the header")
     positions = np.column_stack([table.values[name] for name in columns.POSITIONS])
+    if height_m is not None:
+        positions[:, 2] = height_m
     for line, position in zip(table.lines, positions, strict=True):
         _check_reachable(path, line, position)
     return positions
