@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 import time
 
 import numpy as np
@@ -76,11 +77,14 @@ def test_a_disk_that_takes_nothing_is_a_warning_once(tmp_path, caplog):
 
 def test_the_end_waits_for_no_disk(tmp_path, monkeypatch):
     monkeypatch.setattr(live, "_END_S", 0.05)
-    hangs = LiveFile(tmp_path, emulated=False, encode=lambda picture: time.sleep(2.0))
+    comes_back = threading.Event()
+    hangs = LiveFile(tmp_path, emulated=False, encode=lambda picture: b"x" * comes_back.wait(10.0))
     with hangs as file:
         file.looked(None)
         file.moved(STATE)
     assert hangs._thread.is_alive()
+    comes_back.set()
+    hangs._thread.join()
 
 
 def test_the_arm_tells_its_state_and_does_not_feel_who_hears_it():
