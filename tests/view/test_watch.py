@@ -132,13 +132,13 @@ def test_in_a_browser_the_arm_is_seen_and_ctrl_c_ends_it(tmp_path):
         address = process.stdout.readline().strip()
         one.open(address, width=640, height=480)
         for _ in range(100):
-            if "2 trials over" in (said := one.value("document.body.innerText")):
+            if "trials over: 2" in (said := one.value("document.body.innerText")):
                 break
             one.wait(0.1)
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=30)
     assert "pump holding" in said
-    assert "2 trials over" in said
+    assert "trials over: 2" in said
     assert not one.problems
     assert all(request.startswith((address, "data:", "blob:")) for request in one.requests)
     assert (process.returncode, error) == (0, "")

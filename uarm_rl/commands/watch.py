@@ -210,5 +210,5 @@ def _show_arm(one: Page, folder: Path) -> None:
             state = "run-real has ended"
         elif silent_s > _SILENT_S:
             state = f"nothing heard for {silent_s:.0f} s"
-        words = [f"**{folder}**" + " (emulated)" * now.emulated, f"{state}, pump {now.pump}", f"{now.trials} trials over"]
+        words = [f"**{folder}**" + " (emulated)" * now.emulated, f"{state}, pump {now.pump}", f"trials over: {now.trials}"]
         one.say("\n\n".join([*words, f"`{now.said.strip()}`" if now.said else ""]))

@@ -32,7 +32,7 @@ class Page:
     def __init__(self, server: viser.ViserServer, stop: threading.Event, *, object_size_m: float, plays: bool) -> None:
         self._server, self._stop = server, stop
         self.arm = ArmView(server, object_size_m=object_size_m, hose=True)
-        server.scene.configure_default_lights(cast_shadow=True)
+        server.scene.configure_default_lights(cast_shadow=False)  # they reach no further than a part of the table
         server.initial_camera.fov = math.radians(35.0)
         server.initial_camera.position = (1.02, -0.63, 0.66)
         server.initial_camera.look_at = (0.13, 0.0, 0.09)
