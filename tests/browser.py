@@ -98,12 +98,12 @@ class Browser:
         """Let the page go on for a while."""
         self.value(f"new Promise(done => setTimeout(done, {1000 * seconds}))")
 
-    def open(self, path: Path, *, width: int = 1280, height: int = 900, dark: bool = False) -> None:
-        """Open a file and wait until it has loaded."""
+    def open(self, place: Path | str, *, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+        """Open a file, or an address, and wait until it has loaded."""
         self._ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._ask("Emulation.setEmulatedMedia", features=[scheme])
-        self._ask("Page.navigate", url=path.absolute().as_uri())
+        self._ask("Page.navigate", url=place if isinstance(place, str) else place.absolute().as_uri())
         while self._next().get("method") != "Page.loadEventFired":
             pass
 

@@ -64,7 +64,7 @@ OWNERS = {
     "stable_baselines3": ("learn.sb3", "learn.sb3_training"),
     "matplotlib": ("report",),
     "viser": ("view",),
-    "yourdfpy": ("view",),
+    "websockets": ("view.guard",),
     "pandas": ("report",),
     "onnx": ("export",),
     "tqdm": ("progress",),

@@ -119,13 +119,14 @@ def build_env(
     *,
     time_limit_s: float | None,
     render_mode: str | None = None,
-    picture_size: tuple[int, int] = (480, 360),
+    picture_size: tuple[int, int] | None = (480, 360),
     keep_within: bool = False,
 ) -> UArmSuctionEnv:
     """The suction task over the simulated arm, from a whole training configuration.
 
     ``keep_within`` is for training, where the control steps within a decision are stored too.
     A window opens for ``render_mode="human"`` alone: ``sim.gui`` is for the one environment that somebody watches.
+    Without a ``picture_size`` what is rendered are scenes, which the arm draws later.
     """
     from uarm_rl.task.env import UArmSuctionEnv
 
@@ -163,7 +164,7 @@ def build_env(
         tightest_m=settings["tightest_m"],
         render_mode=render_mode,
         render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
-        take_picture=partial(arm.render, *picture_size),
+        take_picture=partial(arm.render, *picture_size) if picture_size else arm.scene,
     )
 
 

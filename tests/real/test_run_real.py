@@ -25,7 +25,7 @@ from uarm_rl.commands.words import as_overrides
 from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.pty import PtyServer
 from uarm_rl.emulator.realism import Settings
-from uarm_rl.real import session
+from uarm_rl.real import live, session
 from uarm_rl.real.vision.camera_model import nominal
 from uarm_rl.task.policy import encode
 
@@ -117,6 +117,23 @@ def test_trials_on_a_terminal(run, served, tmp_path):
     code, _, error = run("run-real", "--port", server.path, "--target", 0.2, 0.05, 0.03, *FAST)
     assert (code, "out=FOLDER writes elsewhere" in error) == (2, True)
     assert ((folder / "trials.csv").read_bytes(), len(firmware.heard)) == (before, heard)
+
+
+@pytest.mark.parametrize("disk", ["takes it", "takes nothing"])
+def test_who_looks_on_sees_the_trial_and_changes_nothing(run, served, tmp_path, disk):
+    server, firmware = served
+    if disk == "takes nothing":
+        (tmp_path / "series" / "live.json" / "in the way").mkdir(parents=True)
+    words = ("--target", 0.2, 0.05, 0.03, "--trials", 1, "--out", "series", *FAST)
+    code, output, _ = run("run-real", "--port", server.path, *words, "watch=true")
+    assert (code, "1 of 1 held after the lift" in output) == (0, True)
+    firmware.wait_until_parked()
+    assert [row["success"] for row in read(tmp_path / "series" / "trials.csv")] == ["1"]
+    last = live.read(tmp_path / "series")
+    if disk == "takes it":
+        assert (last.ended, last.trials, last.emulated, "held" in last.said) == (True, 1, True, True)
+    else:
+        assert last is None
 
 
 def test_a_series_that_was_interrupted_goes_on(run, tmp_path):

@@ -14,7 +14,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import ENGINES, make_arm
-from uarm_rl.sim.simulated_arm import SimulatedArm
+from uarm_rl.sim.simulated_arm import CAMERA, SimulatedArm
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, PhysicsError
 
@@ -204,7 +204,7 @@ def test_pictures_show_the_same(engines):
             pytest.skip(str(error))
         red = (picture[:, :, 0] > 90) & (picture[:, :, 1:].max(axis=2) < 0.5 * picture[:, :, 0])
         reds.append(red)
-        column, row = arm.pixel(320, 240, (0.22, 0.05, 0.015))
+        column, row = CAMERA.pixel(320, 240, (0.22, 0.05, 0.015))
         assert red[round(row), round(column)]
     assert np.logical_xor(*reds).sum() < 0.2 * reds[0].sum()
 

@@ -19,6 +19,7 @@ COMMANDS: Final = (
     "report",
     "runs",
     "render",
+    "watch",
     "export",
     "export-model",
     "run-real",

@@ -40,6 +40,7 @@ from uarm_rl.emulator.motion import KinematicJoints
 from uarm_rl.files import CONFIG
 from uarm_rl.real import gcode, session
 from uarm_rl.real.link import Link
+from uarm_rl.real.live import LiveFile, Watched
 from uarm_rl.real.ports import ARM, is_emulated, named_port
 from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import GivenTarget, ObjectNotFoundError, RandomTargets, Row, Search, run_trials, scattered
@@ -51,7 +52,7 @@ from uarm_rl.trained import policy_card, read_yaml
 log = logging.getLogger(__name__)
 
 #: What a series may be continued with and be the same series.
-_INCIDENTAL: Final = ("port", "speed", "trials", "resume", "overwrite", "out", "results_dir")
+_INCIDENTAL: Final = ("port", "speed", "trials", "resume", "overwrite", "out", "results_dir", "watch")
 _MOVE: Final = re.compile(r"G2206 B(\S+) L(\S+) R(\S+) F(\S+)")
 
 
@@ -62,6 +63,7 @@ def run(settings: Settings) -> None:
     moves. Whatever happens, the arm is put to rest first, then the camera closed, then the results so far summed up.
     """
     dry_run = checks.boolean("dry_run", settings["dry_run"])
+    watch = checks.boolean("watch", settings["watch"])
     trials = checks.integer("trials", settings["trials"], low=1)
     size_m = object_size(settings["object_size_m"])
     within = limits(settings["limits"])
@@ -84,15 +86,18 @@ def run(settings: Settings) -> None:
     try:
         with ExitStack() as stack:
             stack.enter_context(signals.interrupt_once())
+            live = None if dry_run or not watch else _live(stack, folder, port, settings)
             search: Search
             if told is not None:
                 search = GivenTarget(told)
             elif dry_run and settings["camera"]["name"] != "file":
                 search = RandomTargets(generator, size_m[2])
             else:
-                search = _camera_search(settings, stack, size_m)
+                search = _camera_search(settings, stack, size_m, live)
             arm = rehearse(print, **arm_settings) if dry_run else session.connect(port, speed=settings["speed"], **arm_settings)
             stack.enter_context(arm)
+            if live is not None:
+                arm.on_state = live.moved
             put_down = None if told is not None else scattered(generator)
             results = run_trials(arm, policy, search, task, put_down, trials=trials, first=done + 1)
             print(_HEADER, flush=True)
@@ -106,6 +111,8 @@ def run(settings: Settings) -> None:
                 for row in session.record(results, folder, text, emulated=emulated, keep_rows=done):
                     print(_line(row), flush=True)
                     rows.append(row)
+                    if live is not None:
+                        live.tried(_line(row))
     finally:
         if len(rows) > done:
             print(f"{_summary(rows)}; {folder}", flush=True)
@@ -145,7 +152,19 @@ def _policy_for_the_arm(settings: Settings) -> tuple[Policy, PolicyCard, Path]:
     return policy, policy.card, path if path.is_dir() else path.parent
 
 
-def _camera_search(settings: Settings, stack: ExitStack, size_m: tuple[float, float, float]) -> Search:
+def _live(stack: ExitStack, folder: Path, port: str | None, settings: Settings) -> LiveFile:
+    """The files for ``uarm-rl watch``, until everything else has been closed."""
+    encode: Callable[[Any], bytes] | None = None
+    if settings["target"] is None:  # and therefore a camera
+        from uarm_rl.real.vision.camera import png
+
+        encode = png
+    return stack.enter_context(LiveFile(folder, emulated=port is not None and is_emulated(port), encode=encode))
+
+
+def _camera_search(
+    settings: Settings, stack: ExitStack, size_m: tuple[float, float, float], live: LiveFile | None = None
+) -> Search:
     """The search with the configured camera, which ``stack`` closes; its calibration must fit the pictures that it takes.
 
     An emulated camera without a file is taken to be mounted as drawn.
@@ -157,6 +176,8 @@ def _camera_search(settings: Settings, stack: ExitStack, size_m: tuple[float, fl
 
     detector, path = build("detector", settings["detector"]), checks.path("calibration", settings["calibration"])
     camera = stack.enter_context(open_camera(settings))
+    if live is not None:
+        camera = Watched(camera, live.looked)
     emulated = settings["port"] is not None and is_emulated(settings["port"])
     calibration = None if emulated and not path.exists() else Calibration.load(path)
     picture = camera.read()

@@ -11,6 +11,8 @@ import hashlib
 import json
 import os
 import re
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +22,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from uarm_rl import files
+from uarm_rl.task import observation
+from uarm_rl.task.policy import ActorPolicy, PolicyCard
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -95,6 +99,28 @@ def read_latest(run_dir: Path) -> Checkpoint | None:
     if problem:
         raise problem
     return None
+
+
+def newest(run_dir: Path) -> int | None:
+    """The episode of the newest checkpoint; ``None`` if there is none."""
+    folders = _folders(run_dir)
+    return int(folders[-1].name[len(_PREFIX) :]) if folders else None
+
+
+def actor(checkpoint: Checkpoint, card: PolicyCard, hidden: Sequence[int]) -> ActorPolicy:
+    """The policy that acts at a checkpoint of our own learner, whose networks have ``hidden`` layers of these widths.
+
+    Raises :class:`CheckpointError` for the checkpoint of another.
+    """
+    flat, layers, start = checkpoint.arrays.get("agent/parameters", np.empty(0)).astype(np.float64), [], 0
+    for inputs, outputs in pairwise([card.inputs, *hidden, card.outputs]):
+        weight, bias = flat[start : start + inputs * outputs], flat[start + inputs * outputs :][:outputs]
+        start += (inputs + 1) * outputs
+        if len(flat) < start:
+            raise CheckpointError("the checkpoint holds no networks of the shape that the run's configuration describes")
+        layers.append((weight.reshape(inputs, outputs), bias))
+    seen = observation.kind(card.observation)
+    return ActorPolicy(layers, offset=seen.offset, scale=seen.scale, card=card)
 
 
 def _folders(run_dir: Path) -> list[Path]:

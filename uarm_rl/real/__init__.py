@@ -6,8 +6,8 @@ Read ``swift_arm.py`` first: the driver, behind the task's ``Arm`` protocol. Bel
 - ``handshake.py``: the first words; ``audit.py``: one pure function between a wish and the wire
 
 On it: ``trials.py`` (find, reach, suck, lift, put down), ``search.py`` (find with the camera), ``session.py`` (connect,
-record), ``doctor.py`` (look at everything), ``collecting.py`` (what a calibration needs). Cameras and
-geometry: ``vision/__init__.py``.
+record), ``live.py`` (tell who looks on), ``doctor.py`` (look at everything), ``collecting.py`` (what a calibration needs).
+Cameras and geometry: ``vision/__init__.py``.
 
 Uses ``task``. Needs neither torch nor PyBullet.
 """

@@ -5,10 +5,10 @@ from __future__ import annotations
 import enum
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
-from typing import Final
+from typing import Final, NamedTuple
 
 from uarm_rl import checks, signals
 from uarm_rl.real import gcode
@@ -52,6 +52,16 @@ class PumpState(enum.IntEnum):
     HOLDING = 2  # the cup is sealed
 
 
+class ArmState(NamedTuple):
+    """What is known of the arm without asking it: for who looks on."""
+
+    joints_rad: JointPositions
+    reference_rad: JointPositions
+    moving: bool
+    pump: PumpState | None
+    target_m: tuple[float, float, float] | None  # the upper surface of the object that stands in the way
+
+
 class SwiftArm:
     """A uArm Swift Pro with firmware 4.5 or later and the suction cup, over a link that was just opened.
 
@@ -91,6 +101,9 @@ class SwiftArm:
         #: What stands in the way, and how many references were raised to spare it so far.
         self.known: KnownObject | None = None
         self.pull_ups = 0
+        #: Who is told of every new state; what it raises is not felt here, and it must not wait.
+        self.on_state: Callable[[ArmState], None] | None = None
+        self._pump: PumpState | None = None  # as it was read last
         self._in_motion = False  # as far as is known
         self._awaited: int | None = None  # number of the move whose "ok" is due
         self._sent_s = 0.0  # when the last move was sent
@@ -158,6 +171,7 @@ class SwiftArm:
         off_rad = max(abs(a - b) for a, b in zip(sent_to, self._joints, strict=True))
         if off_rad > _STRAY_RAD:
             log.warning("a joint stands %.1f degrees from where it was sent: blocked, or lost steps", math.degrees(off_rad))
+        self._tell()
         return self._joints
 
     def command_joints(self, reference_rad: Sequence[float]) -> None:
@@ -209,6 +223,14 @@ class SwiftArm:
             raise
         self._in_motion = False
         self._joints = self._target
+        self._tell()
+
+    def _tell(self) -> None:
+        if self.on_state is None:
+            return
+        with suppress(Exception):
+            top_m = self.known.top_m if self.known else None
+            self.on_state(ArmState(self._joints, self._target, self._in_motion, self._pump, top_m))
 
     # The pump
 
@@ -228,7 +250,9 @@ class SwiftArm:
         value = self._link.read_value(gcode.READ_PUMP, "V")
         if value not in (0, 1, 2):
             raise BadReplyError(f"the arm reports pump state {value:g}; known are 0 (stopped), 1 (pumping), 2 (holding)")
-        return PumpState(int(value))
+        self._pump = PumpState(int(value))
+        self._tell()
+        return self._pump
 
     def _await_pump(self, wanted: tuple[PumpState, ...], what: str) -> None:
         for _ in range(round(PUMP_S / _PUMP_POLL_S)):
@@ -262,6 +286,7 @@ class SwiftArm:
         self._target = audited.joints_rad
         self._in_motion, self._awaited, self._sent_s = True, None, self._link.now_s()
         self._awaited = self._link.send(audited.command)
+        self._tell()
 
     # The safe end
 

@@ -2,52 +2,30 @@
 
 from __future__ import annotations
 
-import ctypes
-import logging
-import os
-import sys
 from collections import Counter
-from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uarm_rl.checks import how_to_add
 from uarm_rl.sim.cup import Bellows
+from uarm_rl.sim.mujoco_view import View, Window, mujoco
 from uarm_rl.sim.servo import Servo
 from uarm_rl.sim.simulated_arm import (
     CAMERA,
-    OBJECT_COLOUR,
     PARKED_M,
     TABLE_CENTRE_M,
-    TABLE_COLOUR,
     TABLE_HALF_EXTENTS_M,
     TORQUES_NM,
+    Camera,
     ObjectPose,
+    Scene,
     SimulatedArm,
     urdf,
 )
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
 from uarm_rl.task.kinematics import Vector
-
-# Read by MuJoCo when it is imported; without it a picture needs a screen, and without the library the import would fail.
-if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-    with suppress(OSError):
-        ctypes.CDLL("libEGL.so.1")
-        os.environ.setdefault("MUJOCO_GL", "egl")
-
-try:
-    import mujoco
-except ModuleNotFoundError as error:
-    if error.name != "mujoco":
-        raise
-    raise ModuleNotFoundError(f"mujoco is not installed; {how_to_add('mujoco')}", name="mujoco") from None
-
-if mujoco.get_mju_user_warning() is None:
-    # What it would write to a file in the current folder, an explosion, is an exception here.
-    mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
 
 __all__ = ["MujocoArm", "mjcf"]
 
@@ -56,7 +34,6 @@ _JOINTS: Final = ("joint1", "joint2", "joint3", "joint4")
 _LIP: Final = "lip"
 _SLACK_N: Final = 1e-6  # what the lip pushes with when nothing presses it: a row of the solver must not come and go
 _ARM, _TABLE, _OBJECT = 1, 2, 4  # bits of what a shape is, and of what it touches
-_LOOKED_AT: Final = 1  # the group of shapes that a picture shows, as MuJoCo gives it to the URDF's visuals
 _TOUCHES_TABLE: Final = ("link4", "cup")  # the others stand or hang above it whatever the joints do
 _CONTACT_IMPEDANCE: Final = (0.999, 0.999, 0.001, 0.5, 2.0)  # MuJoCo's usual 0.95 lets the cup 4 mm into the box
 _MOTOR_IMPEDANCE: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's highest
@@ -149,7 +126,7 @@ class MujocoArm(SimulatedArm):
             cup=cup,
             gui=gui,
         )
-        model = self._spec(visuals=False).compile()
+        model = self._spec().compile()
         driven = 5 if cup else 4  # the joints, and the lip
         # Friction loss comes first among the constraints, in the order of the joints; nothing may stand before it.
         assert model.neq == 0
@@ -161,19 +138,19 @@ class MujocoArm(SimulatedArm):
         self._links = [model.body(name).id for name in ("link2", "link3", "link4")]
         self._cup = model.site("cup").id
         self._touching = {model.geom("cup").id, model.geom("object").id}
-        self._view: _View | None = None
-        self._window = _Window(self._spec(visuals=True).compile()) if gui else None
+        self._view: View | None = None
+        self._window = Window(object_size_m) if gui else None
         self.home()
 
-    def _spec(self, *, visuals: bool) -> Any:
-        """Arm, table and box, with the shapes that are only looked at or without."""
+    def _spec(self) -> Any:
+        """Arm, table and box, without the shapes that are only looked at."""
         spec = read_model()
         if self._bellows is not None:
             lip = spec.body("cup")
             lip.mass = self._bellows.mass_kg
             lip.add_joint(name=_LIP, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1))
         for geom in spec.geoms:
-            if not geom.contype and not visuals:
+            if not geom.contype:
                 spec.delete(geom)
         option, dt, half = spec.option, self._dt_s, self._object_size_m / 2.0
         option.timestep = dt
@@ -182,29 +159,10 @@ class MujocoArm(SimulatedArm):
         option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         spec.body("link1").sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
         box, table = mujoco.mjtGeom.mjGEOM_BOX, spec.worldbody
-        table.add_geom(
-            name="table", type=box, pos=TABLE_CENTRE_M, size=TABLE_HALF_EXTENTS_M, rgba=TABLE_COLOUR, group=_LOOKED_AT
-        )
+        table.add_geom(name="table", type=box, pos=TABLE_CENTRE_M, size=TABLE_HALF_EXTENTS_M)
         thing = spec.worldbody.add_body(name="object", pos=(*PARKED_M, half))
         thing.add_freejoint()
-        thing.add_geom(
-            name="object",
-            type=box,
-            size=(half, half, half),
-            mass=self._object_mass_kg,
-            rgba=OBJECT_COLOUR,
-            group=_LOOKED_AT,
-        )
-        if visuals:
-            spec.worldbody.add_light(pos=(0.6, -0.5, 1.2), dir=(-0.6, 0.5, -1.2), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-            spec.add_texture(
-                name="sky",
-                type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-                builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-                rgb1=(1.0, 1.0, 1.0),
-                width=8,
-                height=48,
-            )
+        thing.add_geom(name="object", type=box, size=(half, half, half), mass=self._object_mass_kg)
         for geom in spec.geoms:
             if geom.contype:
                 geom.name = geom.name or geom.parent.name
@@ -252,7 +210,7 @@ class MujocoArm(SimulatedArm):
             mujoco.mj_step2(model, data)
         self._check_motion(self.read_joints(), asked)
         if self._window is not None:
-            self._window.show(data)
+            self._window.show(self.scene())
         return 1
 
     def _put_object(self, centre_m: tuple[float, float, float]) -> None:
@@ -276,73 +234,18 @@ class MujocoArm(SimulatedArm):
         mujoco.mj_kinematics(self._model, self._data)
         return np.array([*self._data.xpos[self._links], self._data.site_xpos[self._cup]])
 
-    def render(self, width: int, height: int) -> NDArray[np.uint8]:
+    def compression_m(self) -> float:
+        return float(self._angles[4]) if self._bellows else 0.0
+
+    def draw(self, scene: Scene, width: int, height: int, camera: Camera = CAMERA) -> NDArray[np.uint8]:
         if self._view is None or self._view.size != (width, height):
-            self._view = _View(self._spec(visuals=True), (width, height))
-        return self._view.picture(self._data)
+            if self._view is not None:
+                self._view.close()
+            self._view = View(self._object_size_m, (width, height))
+        return self._view.picture(scene, camera)
 
     def close(self) -> None:
         for part in (self._view, self._window):
             if part is not None:
                 part.close()
         self._view = self._window = None
-
-
-def _camera(camera: Any) -> None:
-    """Point one of MuJoCo's cameras at the arm."""
-    camera.lookat[:] = CAMERA.target_m
-    camera.distance, camera.azimuth, camera.elevation = CAMERA.distance_m, CAMERA.azimuth_deg, CAMERA.elevation_deg
-
-
-class _View:
-    """Pictures of one size."""
-
-    def __init__(self, spec: Any, size: tuple[int, int]) -> None:
-        self.size = size
-        visual = spec.visual
-        visual.global_.offwidth, visual.global_.offheight = size
-        visual.global_.fovy = CAMERA.view_deg
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        self._camera, self._options = mujoco.MjvCamera(), mujoco.MjvOption()
-        _camera(self._camera)
-        self._options.geomgroup[:] = [group == _LOOKED_AT for group in range(6)]
-        try:
-            self._renderer = mujoco.Renderer(self._model, height=size[1], width=size[0])
-        except Exception as error:  # of whatever kind, as the many ways to OpenGL have it
-            raise ArmError(
-                "MuJoCo cannot draw here: it needs a screen, or EGL (on Debian and Ubuntu: apt-get install libegl1 "
-                "libgl1-mesa-dri); sim=pybullet draws without either, where it is installed"
-            ) from error
-
-    def picture(self, data: Any) -> NDArray[np.uint8]:
-        self._data.qpos[:] = data.qpos
-        mujoco.mj_forward(self._model, self._data)
-        self._renderer.update_scene(self._data, self._camera, self._options)
-        picture: NDArray[np.uint8] = self._renderer.render()
-        return picture
-
-    def close(self) -> None:
-        self._renderer.close()
-
-
-class _Window:
-    """MuJoCo's own viewer."""
-
-    def __init__(self, model: Any) -> None:
-        import mujoco.viewer as viewer
-
-        self._model, self._data = model, mujoco.MjData(model)
-        self._handle = viewer.launch_passive(self._model, self._data, show_left_ui=False, show_right_ui=False)
-        with self._handle.lock():
-            _camera(self._handle.cam)
-            self._handle.opt.geomgroup[:] = [group == _LOOKED_AT for group in range(6)]
-
-    def show(self, data: Any) -> None:
-        with self._handle.lock():
-            self._data.qpos[:] = data.qpos
-            mujoco.mj_forward(self._model, self._data)
-        self._handle.sync()
-
-    def close(self) -> None:
-        self._handle.close()

@@ -9,12 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
+from uarm_rl.sim import looks
+from uarm_rl.sim.backdrop import Backdrop, posed
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.servo import Servo
 from uarm_rl.sim.simulated_arm import (
@@ -24,7 +26,9 @@ from uarm_rl.sim.simulated_arm import (
     TABLE_CENTRE_M,
     TABLE_COLOUR,
     TABLE_HALF_EXTENTS_M,
+    Camera,
     ObjectPose,
+    Scene,
     SimulatedArm,
     urdf,
 )
@@ -117,6 +121,7 @@ class SimArm(SimulatedArm):
             text, self._urdf = cup.joined(self._urdf.read_text()), Path(self._folder.name, "arm.urdf")
             self._urdf.write_text(text)
         self._arm = self._object = self._table = -1
+        self._studio: _Studio | None = None
         self.home()
 
     @staticmethod
@@ -209,7 +214,6 @@ class SimArm(SimulatedArm):
         return *position, w, x, y, z
 
     def compression_m(self) -> float:
-        """How far the bellows are pressed together; 0 for a rigid cup."""
         return float(bullet.getJointState(self._arm, _CUP, physicsClientId=self._client)[0]) if self._bellows else 0.0
 
     def contact_n(self) -> float:
@@ -220,28 +224,75 @@ class SimArm(SimulatedArm):
         states = bullet.getLinkStates(self._arm, (1, 2, 3, _CUP), computeForwardKinematics=True, physicsClientId=self._client)
         return np.array([state[4] for state in states])
 
-    def render(self, width: int, height: int) -> NDArray[np.uint8]:
-        client = {"physicsClientId": self._client}
-        view = bullet.computeViewMatrixFromYawPitchRoll(
-            CAMERA.target_m, CAMERA.distance_m, CAMERA.azimuth_deg - 90.0, CAMERA.elevation_deg, 0, 2, **client
-        )
-        projection = bullet.computeProjectionMatrixFOV(CAMERA.view_deg, width / height, 0.05, 3.0, **client)
-        picture = bullet.getCameraImage(
-            width,
-            height,
-            view,
-            projection,
-            lightDirection=(0.6, -0.5, 1.2),
-            shadow=1,
-            renderer=bullet.ER_TINY_RENDERER,
-            **client,
-        )
-        rgba = np.asarray(picture[2], np.uint8).reshape(height, width, 4)
-        return np.ascontiguousarray(rgba[:, :, :3])
+    def draw(self, scene: Scene, width: int, height: int, camera: Camera = CAMERA) -> NDArray[np.uint8]:
+        self._studio = self._studio or _Studio(self._object_size_m)
+        return self._studio.picture(scene, width, height, camera)
 
     def close(self) -> None:
         if self._client >= 0 and bullet.isConnected(self._client):
             bullet.disconnect(self._client)
         self._client = -1
+        if self._studio:
+            self._studio.close()
+            self._studio = None
         if self._folder:
             self._folder.cleanup()
+
+
+class _Studio:
+    """A world of its own to draw in, of shapes that nothing collides with; PyBullet's own renderer needs no screen."""
+
+    def __init__(self, object_size_m: float) -> None:
+        self._client = int(bullet.connect(bullet.DIRECT))
+        self._parts = [(part.frame, part.mesh, self._body(part.mesh, part.colour)) for part in looks.parts()]
+        box = looks.box(object_size_m)
+        self._parts.append(("object", box, self._body(box, looks.OBJECT)))
+        self._backdrop: tuple[Any, Backdrop] | None = None
+
+    def _body(self, mesh: looks.Mesh, colour: looks.Colour) -> int:
+        client = {"physicsClientId": self._client}
+        shape = bullet.createVisualShape(
+            bullet.GEOM_MESH,
+            vertices=mesh.vertices.tolist(),
+            normals=mesh.normals.tolist(),
+            indices=mesh.faces.ravel().tolist(),
+            rgbaColor=(*colour, 1.0),
+            **client,
+        )
+        return int(bullet.createMultiBody(0.0, -1, shape, **client))
+
+    def picture(self, scene: Scene, width: int, height: int, camera: Camera) -> NDArray[np.uint8]:
+        client = {"physicsClientId": self._client}
+        poses = looks.poses(scene.joints_rad, scene.compression_m) | {"object": (scene.object[:3], scene.object[3:])}
+        for frame, _, body in self._parts:
+            position, (w, x, y, z) = poses[frame]
+            bullet.resetBasePositionAndOrientation(body, position, (x, y, z, w), **client)
+        view = bullet.computeViewMatrixFromYawPitchRoll(
+            camera.target_m, camera.distance_m, camera.azimuth_deg - 90.0, camera.elevation_deg, 0, 2, **client
+        )
+        projection = bullet.computeProjectionMatrixFOV(camera.view_deg, width / height, 0.05, 5.0, **client)
+        picture = bullet.getCameraImage(
+            width,
+            height,
+            view,
+            projection,
+            lightDirection=looks.LIGHT,
+            lightAmbientCoeff=0.60,
+            lightDiffuseCoeff=0.50,
+            lightSpecularCoeff=0.02,
+            shadow=0,
+            renderer=bullet.ER_TINY_RENDERER,
+            flags=bullet.ER_NO_SEGMENTATION_MASK,
+            **client,
+        )
+        rgba = np.asarray(picture[2], np.uint8).reshape(height, width, 4)
+        empty = np.asarray(picture[3], np.float32).reshape(height, width) >= 1.0
+        seen_by = camera, (width, height)
+        if self._backdrop is None or self._backdrop[0] != seen_by:
+            self._backdrop = seen_by, Backdrop(*seen_by)
+        meshes = [posed(mesh, poses[frame]) for frame, mesh, _ in self._parts]
+        return self._backdrop[1].behind(meshes, np.ascontiguousarray(rgba[:, :, :3]), empty)
+
+    def close(self) -> None:
+        if bullet.isConnected(self._client):
+            bullet.disconnect(self._client)

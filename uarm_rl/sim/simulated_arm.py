@@ -47,25 +47,59 @@ def urdf() -> Path:
         return assets / "uarm_swift_pro.urdf"
 
 
+class Scene(NamedTuple):
+    """What a picture is made of: where everything is, and no engine with it."""
+
+    joints_rad: JointPositions
+    object: ObjectPose
+    compression_m: float = 0.0  # of the cup's bellows
+
+
 class Camera(NamedTuple):
-    """Where pictures are taken from: the whole arm is in the picture wherever it is."""
+    """Where pictures are taken from. As it is, the whole arm is in a picture that is wider than high, wherever the arm is."""
 
     target_m: tuple[float, float, float] = (0.14, 0.0, 0.11)
-    distance_m: float = 0.75
-    azimuth_deg: float = 150.0  # of the direction of sight, from x to y
-    elevation_deg: float = -30.0
-    view_deg: float = 45.0  # from the lower to the upper edge
+    distance_m: float = 1.15
+    azimuth_deg: float = 145.0  # of the direction of sight, from x to y
+    elevation_deg: float = -27.0
+    view_deg: float = 30.0  # from the lower to the upper edge
 
     def pixel(self, width: int, height: int, point_m: Sequence[float]) -> tuple[float, float]:
         """Column and row at which a picture of that size shows a point."""
+        column, row = self.pixels(width, height, np.asarray(point_m)[np.newaxis])[0].tolist()
+        return column, row
+
+    def pixels(self, width: int, height: int, points_m: Vector) -> Vector:
+        """Columns and rows, shape (n, 2), at which a picture of that size shows points, shape (n, 3)."""
+        right, up, ahead = self._axes() @ (points_m - np.asarray(self.target_m)).T
+        scale = 0.5 * height / self._slope() / (self.distance_m + ahead)
+        return np.column_stack([width / 2.0 + scale * right, height / 2.0 - scale * up])
+
+    def fitted(self, points_m: Vector, width: int, height: int, margin: float = 0.1) -> Camera:
+        """A camera that looks the same way, as near as pictures of that size show all the points, shape (n, 3)."""
+        axes = self._axes()
+        right, up, ahead = axes @ (points_m - np.asarray(self.target_m)).T
+        slope = (1.0 - margin) * self._slope()
+        edges = [
+            ((across - steep * ahead).max(), (across + steep * ahead).min(), steep)
+            for across, steep in ((right, slope * width / height), (up, slope))
+        ]
+        distance = max((high - low) / (2.0 * steep) for high, low, steep in edges)
+        shift = np.array([(high + low) / 2.0 for high, low, _ in edges])
+        x, y, z = (np.asarray(self.target_m) + shift @ axes[:2]).tolist()
+        return self._replace(target_m=(x, y, z), distance_m=float(distance))
+
+    def _slope(self) -> float:
+        return math.tan(math.radians(self.view_deg / 2.0))
+
+    def _axes(self) -> Vector:
+        """To the right in a picture, up in it, and the direction of sight: the rows, shape (3, 3)."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         ahead = np.array(
             [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
         )
         right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
-        seen = np.asarray(point_m) - self.target_m + self.distance_m * ahead
-        scale = 0.5 * height / math.tan(math.radians(self.view_deg / 2.0)) / float(seen @ ahead)
-        return width / 2.0 + scale * float(seen @ right), height / 2.0 - scale * float(seen @ np.cross(right, ahead))
+        return np.array([right, np.cross(right, ahead), ahead])
 
 
 CAMERA: Final = Camera()
@@ -156,17 +190,25 @@ class SimulatedArm(ABC):
         """Ends of link1, link2, link3 and the cup as the engine has them, shape (4, 3), m."""
 
     @abstractmethod
-    def render(self, width: int, height: int) -> NDArray[np.uint8]:
-        """An RGB picture, shape (height, width, 3), of arm and object from the side and above."""
+    def compression_m(self) -> float:
+        """How far the bellows are pressed together; 0 for a rigid cup."""
+
+    @abstractmethod
+    def draw(self, scene: Scene, width: int, height: int, camera: Camera = CAMERA) -> NDArray[np.uint8]:
+        """An RGB picture, shape (height, width, 3), of a scene, which may be of another time or arm; nothing moves for it."""
 
     @abstractmethod
     def close(self) -> None: ...
 
     # What is the same in all of them
 
-    def pixel(self, width: int, height: int, point_m: Sequence[float]) -> tuple[float, float]:
-        """Column and row at which ``render`` shows a point."""
-        return CAMERA.pixel(width, height, point_m)
+    def scene(self) -> Scene:
+        """Where everything is now."""
+        return Scene(self.read_joints(), self._object_pose(), self.compression_m())
+
+    def render(self, width: int, height: int) -> NDArray[np.uint8]:
+        """An RGB picture, shape (height, width, 3), of arm and object from the side and above, as they are now."""
+        return self.draw(self.scene(), width, height)
 
     def _start(self) -> Chain:
         """The pose in which an episode begins; the servo is at rest in it."""

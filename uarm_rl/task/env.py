@@ -85,7 +85,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         tightest_m: float | None = None,
         render_mode: str | None = None,
         render_modes: Sequence[str] = (),
-        take_picture: Callable[[], NDArray[np.uint8]] | None = None,
+        take_picture: Callable[[], Any] | None = None,
     ) -> None:
         self.metadata = {"render_modes": list(render_modes), "render_fps": control_hz / hold.usual_control_steps}
         if render_mode not in (None, *render_modes):
@@ -114,7 +114,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._keep_within = keep_within
         self._moments: list[Moment] = []
         self._take_picture = take_picture
-        self._pictures: list[NDArray[np.uint8]] = []
+        self._pictures: list[Any] = []
         self._trace: list[NDArray[np.float64]] = []
         self._begun = False
         self.observation_space = gymnasium.spaces.Box(-2.0 * math.pi, 2.0 * math.pi, (self._observation.size,), np.float32)
@@ -324,7 +324,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             Look(self._joints, self._link_ends, self._object, self._flag, velocity, self._reference, self._last_action.tolist())
         )
 
-    def _picture(self) -> NDArray[np.uint8]:
+    def _picture(self) -> Any:
         if self._take_picture is None:
             raise ValueError("this arm has no camera to render with")
         return self._take_picture()

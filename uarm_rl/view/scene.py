@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uarm_rl.checks import how_to_add
-from uarm_rl.sim.simulated_arm import OBJECT_COLOUR, TABLE_COLOUR, urdf
-from uarm_rl.task.kinematics import level
+from uarm_rl.sim import looks
 
 try:
     import viser
-    import yourdfpy
-    from viser.extras import ViserUrdf
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
         f"{error.name} is not installed, which shows the arm in a browser; {how_to_add('view')}", name=error.name
     ) from None
+
+__all__ = ["TABLE_M", "ArmView", "colour", "viser"]
 
 if TYPE_CHECKING:
     from uarm_rl.task.kinematics import Vector
@@ -41,7 +40,7 @@ class ArmView:
     """One arm on its piece of table, with an object and a mark where the cup is to go.
 
     ``name`` is that of the scene's node, as in ``/arm``; ``place_m`` (x, y, z) is where the base stands, ``title`` floats
-    above it. A scene may have several.
+    above it. A scene may have several. ``hose``: it is drawn too, in 52 pieces that move, too many for a recording.
     """
 
     def __init__(
@@ -52,6 +51,7 @@ class ArmView:
         place_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
         object_size_m: float = 0.03,
         title: str = "",
+        hose: bool = False,
     ) -> None:
         scene = server.scene
         self._scene, self._name, self._size_m = scene, name, object_size_m
@@ -59,26 +59,40 @@ class ArmView:
         deep, wide = TABLE_M
         scene.add_box(
             f"{name}/table",
-            colour(TABLE_COLOUR),
+            colour(looks.FLOOR),
             (deep, wide, _TABLE_THICK_M),
             position=(deep / 2.0 - _BEHIND_M, 0.0, -_TABLE_THICK_M / 2.0),
         )
         if title:
             scene.add_label(f"{name}/title", title, position=(0.0, 0.0, 0.36), anchor="bottom-center", font_screen_scale=1.5)
-        self._urdf = yourdfpy.URDF.load(str(urdf()))
-        self._arm = ViserUrdf(server, self._urdf, root_node_name=name)
-        self._object = scene.add_box(f"{name}/object", colour(OBJECT_COLOUR), (object_size_m,) * 3, visible=False)
+        self._cup_m: Vector = np.zeros(3)
+        self._frames: dict[str, viser.FrameHandle] = {}
+        paths: dict[str, str] = {}
+        shown = [part for part in looks.parts() if hose or not part.frame.startswith("hose")]
+        for frame in dict.fromkeys(("base", "turret", *looks.PARENTS, *(part.frame for part in shown))):
+            paths[frame] = f"{paths.get(looks.PARENTS.get(frame, ''), name)}/{frame}"
+            self._frames[frame] = scene.add_frame(paths[frame], show_axes=False)
+        for number, part in enumerate(shown):
+            self._add_mesh(f"{paths[part.frame]}/mesh{number}", part.mesh, part.colour)
+        self._object = scene.add_frame(f"{name}/object", show_axes=False, visible=False)
+        self._add_mesh(f"{name}/object/box", looks.box(object_size_m), looks.OBJECT)
         self._mark = scene.add_cylinder(f"{name}/target", _MARK_M / 2.0, 0.001, color=_MARK_COLOUR, visible=False)
 
-    def pose(self, joints_rad: Sequence[float] | Vector) -> None:
-        """Set joint1 to joint3 (rad; further ones are ignored): joint4 follows, as the rods have it."""
-        joint1, joint2, joint3 = (float(angle) for angle in joints_rad[:3])
-        self._arm.update_cfg(np.array([joint1, joint2, joint3, level(joint2, joint3)]))
+    def _add_mesh(self, name: str, mesh: looks.Mesh, rgb: looks.Colour) -> None:
+        vertices = mesh.vertices.astype(np.float32)
+        self._scene.add_mesh_simple(name, vertices, mesh.faces, color=colour(rgb), flat_shading=False)
+
+    def pose(self, joints_rad: Sequence[float] | Vector, compression_m: float = 0.0) -> None:
+        """Set joint1 to joint3 (rad; further ones are ignored): the rest follows, as the rods have it."""
+        poses = looks.poses(joints_rad, compression_m)  # type: ignore[arg-type]
+        for name, frame in self._frames.items():
+            parent = looks.PARENTS.get(name)
+            frame.position, frame.wxyz = looks.seen_from(poses[parent], poses[name]) if parent else poses[name]
+        self._cup_m = np.array(poses["cup"][0])
 
     def cup_m(self) -> Vector:
         """Where the drawn cup's tip is, shape (3,), from the base."""
-        tip: Vector = self._urdf.get_transform("cup")[:3, 3]
-        return tip
+        return self._cup_m
 
     def put_object(self, top_m: Sequence[float] | Vector | None) -> None:
         """Show the object with the centre of its upper surface there (x, y, z from the base); ``None`` hides it."""
@@ -86,6 +100,11 @@ class ArmView:
         if top_m is not None:
             x, y, z = (float(value) for value in top_m)
             self._object.position = (x, y, z - self._size_m / 2.0)
+
+    def put_object_at(self, pose: looks.Pose) -> None:
+        """Show the object with its centre there, turned so."""
+        self._object.visible = True
+        self._object.position, self._object.wxyz = pose
 
     def mark_target(self, point_m: Sequence[float] | Vector | None) -> None:
         """Mark where the cup's tip is to go (x, y, z from the base); ``None`` hides the mark."""

@@ -345,8 +345,13 @@ def picture_files(folder: Path) -> list[Path]:
 
 def write_picture(path: Path, picture: Picture) -> None:
     """Write a picture (BGR) as PNG, whole or not at all."""
+    files.replace(path, png(picture))
+
+
+def png(picture: Picture) -> bytes:
+    """A picture (BGR) as PNG."""
     _, data = cv2.imencode(".png", picture)
-    files.replace(path, data.tobytes())
+    return data.tobytes()
 
 
 def read_picture(path: Path) -> Picture:

@@ -1,0 +1,135 @@
+"""viser's server for one user of this machine alone: loopback, a secret in the address, nothing for foreign pages.
+
+viser itself listens to whoever comes and checks nothing. What it gives to the library that listens for it, ``websockets``, is
+completed here: a socket that is bound to 127.0.0.1 already, and a look at every request, those that open a websocket too,
+before viser sees it. A request must name this address as its host (a page elsewhere whose name was made to mean 127.0.0.1 does
+not), come from no other page, and have the secret as the first part of its path.
+"""
+
+from __future__ import annotations
+
+import errno
+import hmac
+import io
+import secrets
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import replace
+from http import HTTPStatus
+from typing import Any, Final
+
+from uarm_rl.checks import UsageError
+from uarm_rl.view.scene import viser  # first: it says what to install
+
+# isort: split
+import websockets.asyncio.server as websocket_server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+LOOPBACK: Final = "127.0.0.1"
+_HEADERS: Final = {
+    "Referrer-Policy": "no-referrer",  # the address is the secret
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+}
+_PORTS: Final = 0xFFFF
+# The end waits for connections: for those that a browser opens in case it needs them, and for a page that is busy drawing.
+_OPENING_S: Final = 1.0
+_FAREWELL_S: Final = 0.5
+
+Handler = Callable[[Any, Request], Response | None]
+
+
+@contextmanager
+def guarded_server(port: int, label: str) -> Iterator[tuple[viser.ViserServer, str]]:
+    """A server and the address, secret included, under which this machine's browsers find it; 0: any port that is free.
+
+    Raises :class:`UsageError` for a port that is taken.
+    """
+    secret = secrets.token_urlsafe(24)
+    listening = _listening(port)
+    port = listening.getsockname()[1]
+    with _guarding(listening, Gate(secret, port)) as guarded, redirect_stdout(io.StringIO()):  # it prints an address
+        server = viser.ViserServer(host=LOOPBACK, port=port, label=label, verbose=False)
+    try:
+        if not guarded:
+            raise RuntimeError("this viser listens in a way that cannot be guarded; install the version in constraints.txt")
+        # What a button on the page would do: open a way in from the whole internet.
+        setattr(server, "request_share_url", lambda *args, **words: None)  # noqa: B010 (a method is replaced)
+        server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+        yield server, f"http://{LOOPBACK}:{port}/{secret}/"
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def _listening(port: int) -> socket.socket:
+    if not 0 <= port <= _PORTS:
+        raise UsageError(f"port must be a whole number from 0 to {_PORTS}, got {port}")
+    try:
+        return socket.create_server((LOOPBACK, port))
+    except OSError as error:
+        if error.errno in (errno.EADDRINUSE, errno.EACCES):
+            why = "is taken" if error.errno == errno.EADDRINUSE else "is not for everybody"
+            raise UsageError(f"port {port} {why}; give another port=NUMBER, or port=0 for one that is free") from None
+        raise
+
+
+class Gate:
+    """What may come in at a port."""
+
+    def __init__(self, secret: str, port: int) -> None:
+        self._secret = secret.encode()
+        self._hosts = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
+        self._origins = {f"http://{host}" for host in self._hosts}
+
+    def refusal(self, request: Request) -> str:
+        """Why a request may not come in, as a sentence; empty if it may."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or hosts[0] not in self._hosts:
+            return "This page answers to 127.0.0.1 alone."
+        if not set(origins) <= self._origins:
+            return "This page answers no other page."
+        given = request.path.partition("?")[0].split("/")[1:2] or [""]
+        if not hmac.compare_digest(given[0].encode(errors="replace"), self._secret):
+            return "Open the whole address that uarm-rl watch has printed; a new start has a new one."
+        return ""
+
+    def checked(self, handle: Handler) -> Handler:
+        """The handler, behind the gate."""
+
+        def checked(connection: Any, request: Request) -> Response | None:
+            if reason := self.refusal(request):
+                body = f"{reason}\n".encode()
+                headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+                response: Response | None = Response(HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+            else:
+                path, question, query = request.path.partition("?")
+                inner = path.split("/", 2)[2] if path.count("/") > 1 else ""
+                response = handle(connection, replace(request, path=f"/{inner}{question}{query}"))
+            if response is not None:
+                for name, value in _HEADERS.items():
+                    response.headers[name] = value
+            return response
+
+        return checked
+
+
+@contextmanager
+def _guarding(listening: socket.socket, gate: Gate) -> Iterator[list[bool]]:
+    """What is served while the body runs listens there, behind the gate; the list is not empty if anything was."""
+    original, guarded = websocket_server.serve, list[bool]()
+
+    def serve(handler: Any, host: Any, port: Any, *, process_request: Handler, **options: Any) -> Any:
+        guarded.append(True)
+        options |= {"sock": listening, "process_request": gate.checked(process_request)}
+        return original(handler, **options, open_timeout=_OPENING_S, close_timeout=_FAREWELL_S)
+
+    setattr(websocket_server, "serve", serve)  # noqa: B010 (a function of a module is replaced)
+    try:
+        yield guarded
+    finally:
+        setattr(websocket_server, "serve", original)  # noqa: B010
