@@ -47,12 +47,12 @@ python_use_unqualified_type_names = True
 
 
 def setup(app):
-    """`results.md` becomes `RESULTS.md`, whose tables and runs are files beside the site, not pages of it."""
+    """`results.md` becomes `RESULTS.md`; the tables of the runs are files beside the site, not pages of it."""
 
     def read(_, page, source):
         if page == "results":
             text = (Path(__file__).parent.parent / "RESULTS.md").read_text()
-            text = re.sub(r"(?<!!)\[([^\]]*)\]\((results/[^)]*\.(?:md|csv))\)", r"{download}`\1 <../\2>`", text)
             source[0] = re.sub(r"\]\((results/)", r"](../\1", text).replace("](docs/", "](")
+        source[0] = re.sub(r"(?<!!)\[([^\]]*)\]\((\.\./results/[^)]*\.(?:md|csv))\)", r"{download}`\1 <\2>`", source[0])
 
     app.connect("source-read", read)
