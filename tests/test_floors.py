@@ -36,7 +36,7 @@ WINGS = {
     "uarm_rl": {"configuration", "task"},
     "__main__": {"cli"},
 }
-ROOT_FILES = {"checks", "columns", "csvfile", "files", "progress", "signals", "studies", "workers"}
+ROOT_FILES = {"checks", "columns", "csvfile", "files", "locks", "progress", "signals", "studies", "workers"}
 
 #: Third-party packages, and the parts of the package that may use them.
 OWNERS = {

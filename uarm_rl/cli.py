@@ -90,14 +90,14 @@ def _run(command: str, words: list[str]) -> None:
 
         overrides = tuple(word for word in words if not word.startswith("-") and word != "job")
         print(yaml.safe_dump(compose(command, overrides, incomplete=True), sort_keys=False, allow_unicode=True), end="")
-    elif {"-m", "--multirun"} & set(words):
+    elif {"-m", "--multirun"} & set(words) or hasattr(_module(command), "launch"):
         _run_many(command, [word for word in words if not word.startswith("-")])
     else:
         _module(command).run(compose(command, tuple(words)))
 
 
 def _module(command: str) -> Any:
-    """A command's module: ``run(settings)`` carries it out."""
+    """A command's module: ``run(settings)`` carries it out, or ``launch(jobs, words)`` all jobs of a multirun."""
     return import_module(f"uarm_rl.commands.{config_name(command)}")
 
 
@@ -119,6 +119,9 @@ def _run_many(command: str, overrides: list[str]) -> None:
     jobs = [words[number] for number in first]
     labels = [_label(job, swept) for job in jobs]
     _check_outputs(command, labels, [composed[number] for number in first])
+    if launch := getattr(_module(command), "launch", None):
+        launch([composed[number] for number in first], overrides)
+        return
     with our_hydra() as hydra:
         ours = [word for word in overrides if word.startswith("hydra")]
         launcher = Plugins.instance().instantiate_launcher(

@@ -19,6 +19,7 @@ CONFIG: Final = "config.yaml"
 PROGRESS: Final = "progress.csv"
 POLICY: Final = "policy.safetensors"
 LOCK: Final = ".lock"  # held by the process that trains there
+HOLDER: Final = ".holder"  # which that is, renewed while it trains
 
 
 def replace(path: Path, data: bytes) -> None:
