@@ -61,7 +61,7 @@ def run(settings: Settings) -> None:
 def statuses(results_dir: Path) -> Iterator[Status]:
     """All runs of a folder and of its lists, by name and seed.
 
-    What files and locks say counts; the queue's word is for what they cannot know. Without it a run that was submitted and never
+    What files and locks say counts; the queue is asked what they cannot know. Without it a run that was submitted and never
     began waits, and one that began and is in nobody's hands is dead.
     """
     begun = {one.folder: one for one in inventory(results_dir)}
@@ -98,7 +98,7 @@ def _state(one: Run | None, entry: Entry | None, word: str) -> tuple[str, str]:
     return "dead", "its job is gone" if one else "its job is gone and never began it"
 
 
-_HEADINGS: Final = ("Name", "State", "Where, or why", "Seeds", "Episodes")
+_HEADINGS: Final = ("Name", "State", "Where (or why)", "Seeds", "Episodes")
 
 
 def _rows(found: Sequence[Status]) -> Iterator[list[str]]:

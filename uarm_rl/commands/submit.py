@@ -9,6 +9,7 @@ Examples:
 
 from __future__ import annotations
 
+import io
 import os
 import platform
 import re
@@ -18,7 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, redirect_stderr
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -209,7 +210,7 @@ def _submit(runs: Sequence[Settings], cluster: Mapping[str, Any], folder: Path) 
                 **{f"slurm_{key}": cluster[key] for key in ("partition", "account", "qos")},
                 slurm_array_parallelism=at_once,
             )
-        with _silent_children() if local else nullcontext():
+        with redirect_stderr(io.StringIO()), _silent_children():
             tasks = executor.submit_array([Task(part) for part in parts])
     except (FailedJobError, FailedSubmissionError, RuntimeError, OSError, subprocess.SubprocessError) as error:
         said = [line for line in str(error).splitlines() if line.strip() and not line.startswith(("Command", "Traceback"))]

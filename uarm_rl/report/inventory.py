@@ -74,6 +74,7 @@ def _run(name: str, folder: Path) -> Run:
     status = [path.stat() for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
     stale: list[str] = []
     tested = _values(folder / "evaluation.csv", _EVALUATION, stale)
+    holder = locks.holder(folder)  # asked first: it may finish meanwhile
     trained = (folder / files.POLICY).exists()
     episode, success = 0, math.nan
     if tested.get("success"):
@@ -85,7 +86,6 @@ def _run(name: str, folder: Path) -> Run:
         success = next(
             (rate for rate in reversed(progress.get("validation_success_rate", ())) if not math.isnan(rate)), success
         )
-    holder = "" if trained else locks.holder(folder)
     if (folder / "evaluation.csv").exists():
         state = "evaluated"
     else:
