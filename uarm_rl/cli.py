@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from uarm_rl import checks
 from uarm_rl.checks import UsageError
 from uarm_rl.commands.errors import explain, printable
 from uarm_rl.commands.help import config_name, help_text, overview
@@ -105,7 +106,7 @@ def _module(command: str) -> Any:
 
 
 def _run_many(command: str, overrides: list[str]) -> None:
-    """Every combination of the overrides' values, one after the other or through ``hydra/launcher=joblib``.
+    """Every combination of the overrides' values, one after the other or through the launcher that ``hydra/launcher`` names.
 
     A job that fails is named at once and does not keep the others from running; what it failed with is its return value.
     """
@@ -123,7 +124,11 @@ def _run_many(command: str, overrides: list[str]) -> None:
         launch([composed[number] for number in first], overrides)
         return
     with our_hydra() as hydra:
-        ours = [word for word in overrides if word.startswith("hydra")]
+        ours = [word.replace("hydra.launcher.ray.", "++hydra.launcher.ray.") for word in overrides if word.startswith("hydra")]
+        if any(word.startswith("hydra/launcher=submitit") for word in ours):  # its scripts have the path
+            checks.shell_path("results_dir", str(Path(composed[0]["results_dir"]).absolute()))
+        if "results_dir" not in swept:  # where a launcher keeps what it needs
+            ours += [word for word in overrides if word.startswith("results_dir=")]
         launcher = Plugins.instance().instantiate_launcher(
             hydra_context=HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks()),
             task_function=partial(_job, command, swept),
