@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from uarm_rl import checks
 from uarm_rl.checks import UsageError
@@ -91,6 +91,8 @@ def _run(command: str, words: list[str]) -> None:
 
         overrides = tuple(word for word in words if not word.startswith("-") and word != "job")
         print(yaml.safe_dump(compose(command, overrides, incomplete=True), sort_keys=False, allow_unicode=True), end="")
+    elif hasattr(_module(command), "search"):
+        _module(command).search(*search_space([word for word in words if not word.startswith("-")]))
     elif {"-m", "--multirun"} & set(words) or hasattr(_module(command), "launch"):
         _run_many(command, [word for word in words if not word.startswith("-")])
     else:
@@ -162,6 +164,31 @@ def combinations(overrides: Iterable[str]) -> tuple[frozenset[str], list[list[st
             swept |= set(study)
         swept |= {override.get_key_element() for override in given if override.is_sweep_override()}
     return frozenset(swept), jobs
+
+
+def search_space(overrides: Iterable[str]) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """The settings that are to be searched, as ``commands/sweep.py`` takes them, and the other words."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    space: dict[str, dict[str, Any]] = {}
+    others = []
+    with our_hydra() as hydra:
+        for override in OverridesParser.create(config_loader=hydra.config_loader).parse_overrides([*overrides]):
+            name, value = override.get_key_element(), cast(Any, override.value())
+            if not override.is_sweep_override():
+                others.append(str(override.input_line))
+            elif override.is_interval_sweep():
+                low, high, log = value.start, value.end, "log" in value.tags
+                if not low < high or (log and low <= 0):
+                    raise UsageError(
+                        f"{override.input_line} is no interval to search: the first number must be the smaller one"
+                    )
+                space[name] = {"low": low, "high": high, "log": log, "whole": isinstance(low, int) and isinstance(high, int)}
+            elif choices := [*override.sweep_string_iterator()]:
+                space[name] = {"choices": choices}
+            else:
+                raise UsageError(f"{override.input_line} is no search; name the values, or give an interval(LOW,HIGH)")
+    return space, others
 
 
 def _label(job: Iterable[str], swept: frozenset[str]) -> str:

@@ -20,6 +20,7 @@ from uarm_rl.commands.errors import printable
 from uarm_rl.commands.runs import episodes, spans
 from uarm_rl.commands.submitted import Entry
 from uarm_rl.configuration import Settings
+from uarm_rl.files import PRUNED
 from uarm_rl.report import tables
 from uarm_rl.report.inventory import Run, inventory
 from uarm_rl.report.records import seed_number
@@ -85,6 +86,8 @@ def _state(one: Run | None, entry: Entry | None, word: str) -> tuple[str, str]:
         return "done", one.state
     if one and one.holder:
         return "running", one.holder
+    if one and (one.folder.parent / PRUNED).exists():
+        return "done", "ended by its sweep"
     if word == "running":
         return "running", "its job begins"
     if word == "waiting" or (word == "unknown" and not one):

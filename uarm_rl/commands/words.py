@@ -147,6 +147,8 @@ def _check_hydras(word: str, chosen: str) -> None:
         return
     setting, settings = name.removeprefix("hydra.launcher."), LAUNCHERS[chosen].settings if chosen in LAUNCHERS else {}
     if setting == name or not any(setting in launcher.settings for launcher in LAUNCHERS.values()):
+        if name == "hydra/sweeper":
+            raise UsageError(f"{word} is not for the command line; uarm-rl sweep searches, with Optuna")
         own = ", ".join(f"hydra.launcher.{one}" for one in settings)
         raise UsageError(
             f"{word} is not for the command line; of Hydra's own settings only hydra/launcher={'|'.join(LAUNCHERS)} is"
