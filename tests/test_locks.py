@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import threading
 import time
@@ -74,7 +73,7 @@ def test_a_disk_without_locks_is_said(tmp_path, monkeypatch, number):
     def refuse(descriptor: int, operation: int) -> None:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(fcntl, "flock", refuse)
+    monkeypatch.setattr(pytest.importorskip("fcntl"), "flock", refuse)
     with pytest.raises(locks.LockError, match="this disk has no locks"):
         locks.held(tmp_path).__enter__()
     assert locks.holder(tmp_path) == ""

@@ -20,7 +20,7 @@ from uarm_rl.learn import checkpoint
 
 WORDS = (
     *(word for word in TINY if not word.startswith(("episodes", "validate", "checkpoint"))),
-    *("episodes=4", "validate_every=1", "checkpoint_every=1"),
+    *("episodes=4", "validate_every=2", "checkpoint_every=1"),
 )
 SEARCHED = ("agent.actor_lr=tag(log,interval(1e-4,1e-2))", "buffer=adaptive,uniform")
 

@@ -17,12 +17,12 @@ from typing import Final
 
 COMMANDS: Final = (
     "train",
-    "submit",
-    "status",
-    "sweep",
     "evaluate",
     "report",
     "runs",
+    "submit",
+    "status",
+    "sweep",
     "render",
     "export",
     "export-model",
