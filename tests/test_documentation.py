@@ -35,13 +35,15 @@ GIVEN = ("adaptive-plain", "adaptive-penalty", "uniform-plain")
 #: What makes a command short; what it does, and with which words, stays.
 SHORT = {
     "train": (*FAST, "episodes=1", "simulate_beside=false", "resume=true"),
+    "sweep": (*FAST, "episodes=1", "simulate_beside=false", "sweep.trials=1"),
     "evaluate": ("workers=1",),
     "render": ("width=64", "height=64", "episodes=1"),
     "run-real": ("trials=1", "overwrite=true"),
 }
 
-#: They stand and wait for a person, and for what no test has: a printed board, marks on a table. Their words are checked.
-WAITING = ("emulate", "watch", "calibrate-camera", "calibrate-hand-eye")
+#: They stand and wait for a person, and for what no test has: a printed board, marks on a table, a cluster. Their words are
+#: checked.
+WAITING = ("emulate", "watch", "calibrate-camera", "calibrate-hand-eye", "submit")
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -96,7 +98,11 @@ def check(words: list[str]) -> None:
     """Every run of a command composes: groups, keys and choices are there."""
     command, *rest = words
     assert command in COMMANDS, words
-    if "--help" not in rest:
+    if command == "sweep":
+        space, others = cli.search_space(as_overrides(rest))
+        assert space
+        assert configuration.compose(command, others)
+    elif "--help" not in rest:
         rest = as_overrides([word for word in rest if word not in ("-m", "--cfg", "job")])
         for overrides in cli.combinations([word for word in rest if not word.startswith("hydra")])[1]:
             assert configuration.compose(command, overrides)

@@ -2,8 +2,8 @@
 
 Examples:
   uarm-rl sweep experiment=C episodes=100 'agent.actor_lr=tag(log,interval(1e-5,1e-3))'   one setting, on a logarithmic scale
-  uarm-rl sweep experiment=C agent.tau=interval(1e-3,2e-2) batch_size=64,128,256 sweep.trials=50
-  uarm-rl sweep experiment=C agent.tau=interval(1e-3,2e-2) sweep.study=mine               again, elsewhere: a second one helps
+  uarm-rl sweep experiment=C 'agent.tau=interval(1e-3,2e-2)' batch_size=64,128,256 sweep.trials=50
+  uarm-rl sweep experiment=C 'agent.tau=interval(1e-3,2e-2)' sweep.study=mine             the same line elsewhere helps
 """
 
 from __future__ import annotations
