@@ -85,11 +85,8 @@ def _queue_anew() -> None:
     import submitit
 
     job = submitit.JobEnvironment()
-    if job.cluster == "slurm":
-        command = ["squeue", "--noheader", "--format=%T", f"--jobs={job.job_id}"]
-        state = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False).stdout.strip()
-        if state and state != "RUNNING":
-            return
+    if job.cluster == "slurm" and submitted.state_of(job.job_id) not in ("RUNNING", ""):
+        return
     signal.raise_signal(getattr(signal, f"SIG{job.USR_SIG}"))
 
 

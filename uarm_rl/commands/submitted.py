@@ -56,7 +56,11 @@ def words_of_jobs(jobs: Iterable[str]) -> dict[str, str]:
     known = {job: _of_process(job) for job in jobs if ":" in job}
     queued = sorted({job for job in jobs if job and ":" not in job})
     answer = _squeue(queued) if queued else {}
-    return known | {job: "unknown" if answer is None else answer.get(job, "gone") for job in queued}
+    return known | {job: "unknown" if answer is None else _word(answer.get(job, "")) for job in queued}
+
+
+def _word(state: str) -> str:
+    return "gone" if not state else "waiting" if state.startswith(_STANDING) else "running"
 
 
 def _of_process(job: str) -> str:
@@ -72,14 +76,18 @@ def _of_process(job: str) -> str:
     return "waiting"
 
 
+def state_of(job: str) -> str:
+    """SLURM's own word for the state of one job; empty if it has none to say."""
+    return (_squeue([job]) or {}).get(job, "")
+
+
 def _squeue(jobs: Sequence[str]) -> dict[str, str] | None:
-    """SLURM's word on the jobs that it has; ``None`` if it has none to say here."""
+    """SLURM's words for the states of the jobs that it has; ``None`` if it says nothing here."""
     arrays = ",".join(sorted({job.partition("_")[0] for job in jobs}))
     command = ["squeue", "--noheader", "--array", "--format=%i %T", f"--jobs={arrays}"]
     with suppress(OSError, subprocess.SubprocessError):
         done = subprocess.run(command, capture_output=True, text=True, timeout=_ASK_S, check=False)
         if done.returncode == 0 or "Invalid job id" in done.stderr:  # what it says when it has forgotten all of them
             rows = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-            states = {row[0]: row[1] for row in rows if len(row) == 2}
-            return {job: "waiting" if state.startswith(_STANDING) else "running" for job, state in states.items()}
+            return {row[0]: row[1].strip() for row in rows if len(row) == 2}
     return None
