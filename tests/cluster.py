@@ -113,17 +113,18 @@ def on_ray(folder: Path, words: Sequence[str], expected: Mapping[str, str], outc
     try:
         other = cluster.add_node(num_cpus=1)
         cluster.wait_for_nodes()
-        launch = ("hydra/launcher=ray", "hydra.launcher.ray.init.address=auto", f"results_dir={results}")
+        launch = ("hydra/launcher=ray", "hydra.launcher.ray.init.address=auto")
         environment = {**os.environ, "RAY_ADDRESS": cluster.address}
-        training = subprocess.Popen(
-            [sys.executable, "-m", "uarm_rl", "train", "-m", *words, *launch],
-            cwd=folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        ends = time.monotonic() + LIMIT_S
-        while len(list(results.glob("*/*/policy.safetensors"))) < len(expected) // 3 and time.monotonic() < ends:
+        with open(folder / "said", "w") as said:
+            training = subprocess.Popen(
+                [sys.executable, "-m", "uarm_rl", "train", "-m", *words, *launch],
+                cwd=folder,
+                env=environment,
+                stdout=said,
+                stderr=said,
+            )
+        while len(list(results.glob("*/*/policy.safetensors"))) < len(expected) // 3:
+            assert training.poll() is None, (folder / "said").read_text()
             time.sleep(0.1)
         cluster.remove_node(other, allow_graceful=False)
         training.wait(LIMIT_S)

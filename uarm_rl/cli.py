@@ -127,13 +127,15 @@ def _run_many(command: str, overrides: list[str]) -> None:
         return
     with our_hydra() as hydra:
         ours = [word.replace("hydra.launcher.ray.", "++hydra.launcher.ray.") for word in overrides if word.startswith("hydra")]
+        if any(word.startswith("++hydra.launcher.ray.init.address=") for word in ours):
+            ours.append("++hydra.launcher.ray.init.object_store_memory=null")  # a cluster that is there has its own
         if any(word.startswith("hydra/launcher=submitit") for word in ours):  # its scripts have the path
             checks.shell_path("results_dir", str(Path(composed[0]["results_dir"]).absolute()))
         if "results_dir" not in swept:  # where a launcher keeps what it needs
             ours += [word for word in overrides if word.startswith("results_dir=")]
         launcher = Plugins.instance().instantiate_launcher(
             hydra_context=HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks()),
-            task_function=partial(_job, command, swept),
+            task_function=partial(_job, command, swept, os.getcwd()),
             config=hydra.compose_config(config_name(command), ours, RunMode.MULTIRUN, with_log_configuration=False),
         )
         failures: list[Failure | None] = [job.return_value for job in launcher.launch(jobs, initial_job_idx=0)]
@@ -223,11 +225,12 @@ def _apart(place: Path, jobs: list[Settings]) -> str:
     return f"tell their places apart, for example with '{f'name={values}' if usual else f'out={values}{place.suffix}'}'"
 
 
-def _job(command: str, swept: frozenset[str], cfg: DictConfig) -> Failure | None:
-    """One job of many. Also called in processes that a launcher starts."""
+def _job(command: str, swept: frozenset[str], folder: str, cfg: DictConfig) -> Failure | None:
+    """One job of many, for which paths begin at ``folder``. Also called in processes that a launcher starts, anywhere."""
     from hydra.core.hydra_config import HydraConfig
 
     try:
+        os.chdir(folder)
         _module(command).run(plain(cfg))
     except Exception as error:
         if os.environ.get("UARM_RL_TRACEBACK"):

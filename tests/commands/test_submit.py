@@ -22,7 +22,7 @@ from uarm_rl.commands.submitted import Entry
 
 CHANGED = ("episodes=3", "checkpoint_every=1")
 WORDS = ("experiment=C", *(word for word in TINY if not word.startswith(("episodes", "checkpoint"))), *CHANGED)
-LONGER = tuple(word.replace("episodes=3", "episodes=12") for word in WORDS)
+LONGER = tuple(word.replace("episodes=3", "episodes=8") for word in WORDS)
 
 
 @pytest.fixture
