@@ -145,6 +145,15 @@ def test_without_a_queue_files_and_locks_say_what_they_can(place, say, monkeypat
     assert commands_train.output(settings) == Path("results/adaptive-penalty/seed5")
 
 
+@pytest.mark.parametrize("folder", ["../../etc/passwd", "/abs/seed3", "x", "\x1b[2J/seed1", "a/seed1x"])
+def test_a_list_that_names_no_run_is_refused(place, say, folder):
+    (place / "results").mkdir()
+    submitted.write(place / "results" / "submitted-1.csv", [Entry(folder, "0:0", "a")])
+    said = say("status")
+    assert "error: results/submitted-1.csv names " in said
+    assert "which is no run's folder" in said
+
+
 def begin(run: Path, *words: str) -> None:
     """A run that began and was killed."""
     settings = configuration.compose("train", words)

@@ -10,6 +10,7 @@ import csv
 import io
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -48,6 +49,9 @@ def lists(results_dir: Path) -> dict[Path, list[Entry]]:
     for path in sorted(results_dir.glob("submitted-*.csv")):
         values = csvfile.read(path, columns.SUBMITTED).values
         found[path] = [Entry(*cells) for cells in zip(*(values[name] for name in columns.SUBMITTED), strict=True)]
+        for entry in found[path]:
+            if not re.fullmatch(r"\w[\w.,+ -]*/seed[0-9]{1,10}", entry.folder):
+                raise csvfile.CsvError(f"{path} names {entry.folder!r:.60}, which is no run's folder; delete the list")
     return found
 
 
