@@ -87,7 +87,7 @@ docs: $(VENV)/.installed-docs  ## the documentation and the API, into build/docs
 bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side; about 10 minutes
 	$(BIN)/python benchmarks/bench.py
 
-torture: $(VENV)/.installed-test  ## kill trainings, fail saves, damage files, hostile input; about 30 minutes
+torture: $(VENV)/.installed-test  ## kill trainings and machines, fail saves, damage files, hostile input; about 40 minutes
 	$(BIN)/python -m tests.torture --out tests/torture.csv
 
 $(VENV)/bin/python:

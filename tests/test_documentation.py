@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import FAST
-from uarm_rl import cli, columns, configuration
+from uarm_rl import cli, columns, combinations, configuration
 from uarm_rl.commands import COMMANDS
 from uarm_rl.commands.words import as_overrides
 
@@ -35,13 +35,15 @@ GIVEN = ("adaptive-plain", "adaptive-penalty", "uniform-plain")
 #: What makes a command short; what it does, and with which words, stays.
 SHORT = {
     "train": (*FAST, "episodes=1", "simulate_beside=false", "resume=true"),
+    "sweep": (*FAST, "episodes=1", "simulate_beside=false", "sweep.trials=1"),
     "evaluate": ("workers=1",),
     "render": ("width=64", "height=64", "episodes=1"),
     "run-real": ("trials=1", "overwrite=true"),
 }
 
-#: They stand and wait for a person, and for what no test has: a printed board, marks on a table. Their words are checked.
-WAITING = ("emulate", "watch", "calibrate-camera", "calibrate-hand-eye")
+#: They stand and wait for a person, and for what no test has: a printed board, marks on a table, a cluster. Their words are
+#: checked.
+WAITING = ("emulate", "watch", "calibrate-camera", "calibrate-hand-eye", "submit")
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -85,7 +87,7 @@ def shortened(words: list[str]) -> list[str]:
     """The same command for a small run; a study is one of its runs."""
     command, *rest = words
     if "-m" in rest:  # its first job; `check` has composed all of them
-        rest = cli.combinations([word for word in rest if not word.startswith(("-", "hydra"))])[1][0]
+        rest = combinations.combinations([word for word in rest if not word.startswith(("-", "hydra"))])[1][0]
     rest += SHORT.get(command, ())
     if command == "evaluate":
         rest = [*(word for word in rest if not word.startswith("positions=")), "positions=two.csv"]
@@ -97,9 +99,13 @@ def check(words: list[str]) -> None:
     """Every run of a command composes: groups, keys and choices are there."""
     command, *rest = words
     assert command in COMMANDS, words
-    if "--help" not in rest:
+    if command == "sweep":
+        space, others = combinations.search_space(as_overrides(rest))
+        assert space
+        assert configuration.compose(command, others)
+    elif "--help" not in rest:
         rest = as_overrides([word for word in rest if word not in ("-m", "--cfg", "job")])
-        for overrides in cli.combinations([word for word in rest if not word.startswith("hydra")])[1]:
+        for overrides in combinations.combinations([word for word in rest if not word.startswith("hydra")])[1]:
             assert configuration.compose(command, overrides)
 
 

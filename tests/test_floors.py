@@ -45,15 +45,16 @@ WINGS = {
         "configuration",
         "trained",
     },
-    "cli": {"commands", "configuration", "uarm_rl"},
+    "combinations": {"configuration"},
+    "cli": {"commands", "combinations", "configuration", "uarm_rl"},
     "uarm_rl": {"configuration", "task"},
     "__main__": {"cli"},
 }
-ROOT_FILES = {"checks", "columns", "csvfile", "files", "progress", "signals", "studies", "workers"}
+ROOT_FILES = {"checks", "columns", "csvfile", "files", "locks", "progress", "signals", "studies", "workers"}
 
 #: Third-party packages, and the parts of the package that may use them.
 OWNERS = {
-    "hydra": ("cli", "configuration"),
+    "hydra": ("cli", "combinations", "configuration"),
     "omegaconf": ("cli", "configuration"),
     "pybullet": ("sim", "emulator.physics"),
     "mujoco": ("sim",),

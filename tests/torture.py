@@ -1,6 +1,6 @@
 """Runs that survive anything, proved: kill trainings at random instants, fail every call of a save, flip every bit.
 
-    python -m tests.torture [--only kills files hostile] [--trials 300] [--out FILE]     (or: make torture)
+    python -m tests.torture [--only kills files cluster hostile] [--trials 300] [--out FILE]     (or: make torture)
 
 Prints a table and exits with 1 if anything differed from what was promised. Every harness
 has a control: a deliberately broken variant that it must catch, or it proves nothing. Trainings are forked from one
@@ -29,7 +29,7 @@ from unittest import mock
 
 import numpy as np
 
-from tests import hostile_arm
+from tests import cluster, hostile_arm
 from tests.disks import counted_calls, damaged_checkpoint, damaged_policy, failing_saves, full_disks, trusting
 from tests.hostile import play as hostile
 from uarm_rl import configuration, files
@@ -279,6 +279,21 @@ def files_and_disks(folder: Path) -> Iterator[Row]:
         yield Row(f"damaged {name} files, every bit and length", done, taken, "exhaustive", words)
 
 
+def many_machines(folder: Path, seed: int) -> Iterator[Row]:
+    """24 runs on queues and machines that come and go."""
+    words = ("experiment=A,B,C,D", "seed=0,1,2,3,4,5", *TOY)
+    expected = {}
+    for method, number in itertools.product(METHODS, range(6)):
+        settings = configuration.compose(
+            "train", (f"experiment={method}", *TOY, f"seed={number}", f"results_dir={folder / 'alone'}")
+        )
+        assert finish(settings)
+        name = f"{settings['name']}/seed{number}"
+        expected[name] = outcome(folder / "alone" / name)
+    for what, trials, failures, control in cluster.rows(folder / "many", words, expected, outcome, seed):
+        yield Row(what, trials, failures, bound(trials, failures), control)
+
+
 def hostile_input() -> Iterator[Row]:
     """Files, configurations, joint commands and answers of an arm that mean harm."""
     for row, cases, failed, control in hostile.rows():
@@ -297,7 +312,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=300, help="runs that are killed, a third of them inside a save")
     parser.add_argument("--controls", type=int, default=16, help="runs of each broken variant")
-    parts = ("kills", "files", "hostile")
+    parts = ("kills", "files", "cluster", "hostile")
     parser.add_argument("--only", nargs="+", choices=parts, default=parts, help="parts of the table")
     parser.add_argument("--seed", type=int, default=0, help="of the instants")
     parser.add_argument("--sim", default="auto", help="engine of the trainings: auto, pybullet or mujoco")
@@ -311,6 +326,7 @@ def main() -> None:
         lines = {
             "kills": killed_runs(arguments.trials, arguments.controls, arguments.seed, Path(folder)),
             "files": files_and_disks(Path(folder)),
+            "cluster": many_machines(Path(folder), arguments.seed),
             "hostile": hostile_input(),
         }
         for row in itertools.chain.from_iterable(lines[part] for part in arguments.only):

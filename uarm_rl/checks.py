@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -96,6 +97,15 @@ def text(name: str, value: object) -> str:
 def path(name: str, value: object) -> Path:
     """``value`` as a path if it is a text that is not empty; :class:`ValueError` with a sentence otherwise."""
     return Path(text(name, value))
+
+
+def shell_path(name: str, value: object) -> Path:
+    """``value`` as a path if it can stand in a job script: letters, digits and ``. / + , = @ -`` and spaces."""
+    if not re.fullmatch(r"[\w./+,=@ -]+", text(name, value)):
+        raise ValueError(
+            f"{name} must be a path of letters, digits, spaces and . / + , = @ - _ for a cluster, got {_shown(value)}"
+        )
+    return Path(str(value))
 
 
 def like(name: str, value: object, example: object) -> None:

@@ -11,12 +11,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from uarm_rl import checks
 from uarm_rl.checks import UsageError
+from uarm_rl.combinations import combinations, search_space
 from uarm_rl.commands.errors import explain, printable
 from uarm_rl.commands.help import config_name, help_text, overview
 from uarm_rl.commands.words import as_overrides, check, given_twice
 from uarm_rl.configuration import Settings, compose, flat, our_hydra, plain
-from uarm_rl.studies import studies
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -90,14 +91,16 @@ def _run(command: str, words: list[str]) -> None:
 
         overrides = tuple(word for word in words if not word.startswith("-") and word != "job")
         print(yaml.safe_dump(compose(command, overrides, incomplete=True), sort_keys=False, allow_unicode=True), end="")
-    elif {"-m", "--multirun"} & set(words):
+    elif hasattr(_module(command), "search"):
+        _module(command).search(*search_space([word for word in words if not word.startswith("-")]))
+    elif {"-m", "--multirun"} & set(words) or hasattr(_module(command), "launch"):
         _run_many(command, [word for word in words if not word.startswith("-")])
     else:
         _module(command).run(compose(command, tuple(words)))
 
 
 def _module(command: str) -> Any:
-    """A command's module: ``run(settings)`` carries it out."""
+    """A command's module: ``run(settings)`` carries it out, or ``launch(jobs, words)`` all jobs of a multirun."""
     return import_module(f"uarm_rl.commands.{config_name(command)}")
 
 
@@ -105,7 +108,7 @@ def _module(command: str) -> Any:
 
 
 def _run_many(command: str, overrides: list[str]) -> None:
-    """Every combination of the overrides' values, one after the other or through ``hydra/launcher=joblib``.
+    """Every combination of the overrides' values, one after the other or through the launcher that ``hydra/launcher`` names.
 
     A job that fails is named at once and does not keep the others from running; what it failed with is its return value.
     """
@@ -119,41 +122,26 @@ def _run_many(command: str, overrides: list[str]) -> None:
     jobs = [words[number] for number in first]
     labels = [_label(job, swept) for job in jobs]
     _check_outputs(command, labels, [composed[number] for number in first])
+    if launch := getattr(_module(command), "launch", None):
+        launch([composed[number] for number in first], overrides)
+        return
     with our_hydra() as hydra:
-        ours = [word for word in overrides if word.startswith("hydra")]
+        ours = [word.replace("hydra.launcher.ray.", "++hydra.launcher.ray.") for word in overrides if word.startswith("hydra")]
+        if any(word.startswith("++hydra.launcher.ray.init.address=") for word in ours):
+            ours.append("++hydra.launcher.ray.init.object_store_memory=null")  # a cluster that is there has its own
+        if any(word.startswith("hydra/launcher=submitit") for word in ours):  # its scripts have the path
+            checks.shell_path("results_dir", str(Path(composed[0]["results_dir"]).absolute()))
+        if "results_dir" not in swept:  # where a launcher keeps what it needs
+            ours += [word for word in overrides if word.startswith("results_dir=")]
         launcher = Plugins.instance().instantiate_launcher(
             hydra_context=HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks()),
-            task_function=partial(_job, command, swept),
+            task_function=partial(_job, command, swept, os.getcwd()),
             config=hydra.compose_config(config_name(command), ours, RunMode.MULTIRUN, with_log_configuration=False),
         )
         failures: list[Failure | None] = [job.return_value for job in launcher.launch(jobs, initial_job_idx=0)]
     failed = [(label, failure[1]) for label, failure in zip(labels, failures, strict=True) if failure is not None]
     if failed:
         _fail(f"{len(failed)} of {len(jobs)} jobs failed: {'; '.join(label for label, _ in failed)}", failed[0][1])
-
-
-def combinations(overrides: Iterable[str]) -> tuple[frozenset[str], list[list[str]]]:
-    """The keys that are given several values, and the overrides of every job.
-
-    A study sweeps by itself what it varies; where the command line gives one of these keys too, the command line counts.
-    """
-    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-
-    swept: set[str] = set()
-    jobs: list[list[str]] = []
-    with our_hydra() as hydra:
-        parser = OverridesParser.create(config_loader=hydra.config_loader)
-        given = [override for override in parser.parse_overrides([*overrides]) if not override.is_hydra_override()]
-        experiments = [override for override in given if override.get_key_element() == "experiment"]
-        others = [override for override in given if override.get_key_element() != "experiment"]
-        for experiment in BasicSweeper.split_arguments(experiments, None)[0]:
-            study = studies().get("".join(experiment).partition("=")[2], {})
-            words = [*experiment, *(f"{key}={','.join(map(str, values))}" for key, values in study.items())]
-            jobs += BasicSweeper.split_arguments([*parser.parse_overrides(words), *others], None)[0]
-            swept |= set(study)
-        swept |= {override.get_key_element() for override in given if override.is_sweep_override()}
-    return frozenset(swept), jobs
 
 
 def _label(job: Iterable[str], swept: frozenset[str]) -> str:
@@ -188,11 +176,12 @@ def _apart(place: Path, jobs: list[Settings]) -> str:
     return f"tell their places apart, for example with '{f'name={values}' if usual else f'out={values}{place.suffix}'}'"
 
 
-def _job(command: str, swept: frozenset[str], cfg: DictConfig) -> Failure | None:
-    """One job of many. Also called in processes that a launcher starts."""
+def _job(command: str, swept: frozenset[str], folder: str, cfg: DictConfig) -> Failure | None:
+    """One job of many, for which paths begin at ``folder``. Also called in processes that a launcher starts, anywhere."""
     from hydra.core.hydra_config import HydraConfig
 
     try:
+        os.chdir(folder)
         _module(command).run(plain(cfg))
     except Exception as error:
         if os.environ.get("UARM_RL_TRACEBACK"):

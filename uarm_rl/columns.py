@@ -197,3 +197,10 @@ PAPER: Final = _columns(
     Column("method", TEXT, "", "A, B, C or D"),
     Column("success_rate", RATE, "", "as the paper gives it"),
 )
+
+#: A row a run that was submitted to a cluster.
+SUBMITTED: Final = _columns(
+    Column("folder", TEXT, "", "of the run, below the results folder"),
+    Column("job", TEXT, "", "what the queue calls it, or machine and process; empty if it was not taken", empty=True),
+    Column("words", TEXT, "", "what was typed behind `uarm-rl submit`"),
+)

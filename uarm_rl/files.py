@@ -19,6 +19,8 @@ CONFIG: Final = "config.yaml"
 PROGRESS: Final = "progress.csv"
 POLICY: Final = "policy.safetensors"
 LOCK: Final = ".lock"  # held by the process that trains there
+PRUNED: Final = ".pruned"  # beside a run's folder: its sweep ended it, and it is not to be continued
+HOLDER: Final = ".holder"  # which that is, renewed while it trains
 
 
 def replace(path: Path, data: bytes) -> None:

@@ -9,8 +9,10 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
-#: Ctrl-C, a polite kill, and a terminal that closes, where the system knows it.
-STOPS: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+#: Ctrl-C, a polite kill, and, where the system knows them, a terminal that closes and what schedulers send before they kill.
+STOPS: Final = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2") if hasattr(signal, name)
+)
 
 
 @contextmanager
@@ -34,6 +36,12 @@ def heard(react: Callable[[int], None]) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+def hand_on(number: int) -> None:
+    """Let whoever else waits for a stop, as a scheduler's own handler, hear of it too, now that all is in order."""
+    if number and callable(handler := signal.getsignal(number)) and handler is not signal.default_int_handler:
+        signal.raise_signal(number)
 
 
 @contextmanager

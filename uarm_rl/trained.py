@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uarm_rl import checks, files
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, choices, compose
+from uarm_rl.configuration import Settings, build, choices, compose, groups_of
 from uarm_rl.files import CONFIG, POLICY
 
 if TYPE_CHECKING:
@@ -133,3 +135,37 @@ def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
     if changed := checks.differences({key: settings[key] for key in own}, own):
         raise UsageError(f"{run_dir / POLICY} is not of this run: the run has {', '.join(changed)}")
     return policy
+
+
+def words_for(settings: Settings) -> list[str]:
+    """The words of ``uarm-rl train`` that make a run's settings: choices of groups, and what differs from them.
+
+    Raises :class:`UsageError` if none do: the settings are of another version.
+    """
+    usual, chosen = _defaults(()), []
+    for group, names in groups_of("train").items():
+        name, default = (_name_in(of, group.partition("@")[2] or group) for of in (settings, usual))
+        if name in names and (name != default or group == "sim"):  # sim=auto may be another tomorrow
+            chosen.append(f"{group}={name}")
+    words = [*chosen, *_changes("", compose("train", chosen), settings)]
+    if compose("train", words) != settings:
+        raise UsageError("no words of this version of uarm-rl give its settings")
+    return words
+
+
+def _name_in(settings: Mapping[str, Any], place: str) -> str | None:
+    found: Any = settings
+    for part in (*place.split("."), "name"):
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return found if isinstance(found, str) else None
+
+
+def _changes(prefix: str, usual: Mapping[str, Any], settings: Mapping[str, Any]) -> Iterator[str]:
+    """Words for what ``settings`` has otherwise than ``usual``."""
+    for key, value in settings.items():
+        before = usual.get(key)
+        if isinstance(before, Mapping) and isinstance(value, Mapping):
+            yield from _changes(f"{prefix}{key}.", before, value)
+        elif before != value:
+            bare = isinstance(value, str) and re.fullmatch(r"[A-Za-z_][\w-]*", value)
+            yield f"{prefix}{key}={value if bare else json.dumps(value, ensure_ascii=False)}"

@@ -15,13 +15,15 @@ from typing import Final
 
 from threadpoolctl import threadpool_limits
 
+from uarm_rl import signals
+
 CONTEXT: Final = multiprocessing.get_context("spawn")
 
 
 def begin() -> None:
-    """The first call in a worker: Ctrl-C is its parent's business, and it ends when its parent does, however that ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    """The first call in a worker: a stop is its parent's business, and it ends when its parent does, however that ends."""
+    for number in signals.STOPS:
+        signal.signal(number, signal.SIG_IGN)
     one_thread()
     parent = multiprocessing.parent_process()
     if parent is not None:

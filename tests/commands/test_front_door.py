@@ -44,7 +44,9 @@ def test_what_is_wrong_is_said_before_anything_is_done(tmp_path, monkeypatch, wo
 def test_an_extra_that_is_missing_is_named_with_its_pip_line(tmp_path):
     hide = "import sys; sys.modules.update({'hydra_plugins': None, 'tensorboard': None}); "
     code = f"{hide}from uarm_rl.cli import main; main(sys.argv[1:])"
-    for words, extra in ((["-m", "hydra/launcher=joblib"], "launch"), (["logger=tensorboard", *QUICK], "tensorboard")):
+    launchers = {"joblib": "launch", "submitit_slurm": "slurm", "submitit_local": "slurm", "ray": "ray"}
+    chosen = [(["-m", f"hydra/launcher={name}"], extra) for name, extra in launchers.items()]
+    for words, extra in (*chosen, (["logger=tensorboard", *QUICK], "tensorboard")):
         command = [sys.executable, "-c", code, "train", *words]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert_refused(done, 2, f"pip install -c constraints.txt -e '.[{extra}]'")

@@ -8,7 +8,7 @@ from itertools import product
 import pytest
 
 from tests.conftest import FAST, uarm_rl
-from uarm_rl import cli, configuration
+from uarm_rl import cli, combinations, configuration
 
 SHORT = ("episodes=1", "experiences_per_episode=20", "warmup_experiences=20", "time_limit_s=0.1", "simulate_beside=false")
 TINY = tuple({word.partition("=")[0]: word for word in (*FAST, *SHORT)}.values())
@@ -98,7 +98,7 @@ def test_one_job_twice_is_done_once(run, tmp_path):
 
 def test_studies_sweep_by_themselves_and_share_what_both_have(run, tmp_path):
     words = ("experiment=reference,dwell,A", "dwell_s=0.3,0.4", "seed=0")
-    swept, jobs = cli.combinations(words)
+    swept, jobs = combinations.combinations(words)
     assert swept == {"experiment", "buffer", "dwell_s"}
     assert len(jobs) == 2 * 2 + 2 * 2 + 2
     composed = [configuration.compose("train", job) for job in jobs]
@@ -129,3 +129,36 @@ def test_the_environment_can_be_made_inside_another_hydra_application(tmp_path):
     with hydra.initialize_config_dir(str(tmp_path), version_base="1.3"):
         package.make_env("buffer=uniform").close()
         assert hydra.compose("theirs").seed == 3
+
+
+def test_likewise_through_processes_of_submitit(run, tmp_path):
+    words = (*SWEEP, "hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10", "results_dir=there")
+    assert run(*words) == (2, TOLD[1])
+    assert (tmp_path / "there" / "gamma-0.9" / "seed3" / "policy.safetensors").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("hydra.launcher.n_jobs=2",), "hydra.launcher.n_jobs is for hydra/launcher=joblib, and the launcher here is basic"),
+        (
+            ("hydra/launcher=joblib", "hydra.launcher.partition=x"),
+            "hydra.launcher.partition is for hydra/launcher=submitit_slurm, and the launcher here is joblib",
+        ),
+        (
+            ("hydra/launcher=submitit_slurm", "hydra.launcher.partition=x y"),
+            "hydra.launcher.partition must be a name, got 'x y'",
+        ),
+        (
+            ("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=0"),
+            "hydra.launcher.timeout_min must be a whole number above 0, got '0'",
+        ),
+        (("hydra/launcher=submitit_slurm", "hydra.launcher.setup=[a]"), "hydra.launcher.setup=[a] is not for the command line"),
+        (("hydra/launcher=submitit_slurm", "results_dir='a;b'"), "results_dir must be a path of letters"),
+    ],
+)
+def test_words_for_launchers_are_few_and_checked(run, tmp_path, words, sentence):
+    code, said = run("train", "-m", "seed=0,1", *TINY, *words)
+    assert (code, said.split("error: ")[1].startswith(sentence)) == (2, True)
+    assert list(tmp_path.iterdir()) == []

@@ -23,6 +23,24 @@ HYDRA = (
     "hydra/launcher=[basic,joblib]",
     "hydra/launcher@_global_=basic",
     "hydra.launcher.n_jobs=--5",
+    "hydra/launcher=../x",
+    "hydra/launcher=ray_aws",
+    "hydra/launcher=submitit_slurm,../../evil",
+    "hydra.launcher.setup=['touch CANARY']",
+    "hydra.launcher.srun_args=['--prolog=CANARY']",
+    "hydra.launcher.additional_parameters={prolog:CANARY}",
+    "hydra.launcher.submitit_folder=OUTSIDE/%j",
+    "hydra.launcher.partition='x\ntouch CANARY'",
+    "hydra.launcher.partition=$(touch CANARY)",
+    "hydra.launcher.account=x;touch${IFS}CANARY",
+    "hydra.launcher.name=OUTSIDE/x",
+    "hydra.launcher.timeout_min=${oc.env:HOSTILE_TAG}",
+    "hydra.launcher.array_parallelism=1\n#SBATCH",
+    "hydra.launcher.temp_folder=OUTSIDE",
+    "hydra.launcher.ray.init.address=ray://OUTSIDE:10001",
+    f"hydra.launcher.ray.init.runtime_env={{worker_process_setup_hook:{PAYLOAD}.run}}",
+    "hydra.launcher.ray.init.num_cpus=0x10",
+    "hydra.launcher.env_setup.commands=['touch CANARY']",
     f"hydra.sweeper={{_target_:{PAYLOAD}.run}}",
     f"hydra.job_logging={{version:1,handlers:{{h:{{'()':{PAYLOAD}.run}}}},root:{{handlers:[h]}}}}",
     "hydra.hydra_logging={version:1,handlers:{h:{class:logging.FileHandler,filename:CANARY}},root:{handlers:[h]}}",
@@ -36,6 +54,21 @@ HYDRA = (
     "'hydra.sweep.dir'=OUTSIDE",
     "HYDRA.sweep.dir=OUTSIDE",
     "hydra@x=default",
+)
+#: Values of settings that a launcher has, and that would go into a script or to a server.
+LAUNCHED = (
+    *("submitit_slurm hydra.launcher.partition=$(touch CANARY)", "submitit_slurm hydra.launcher.qos=x\ntouch CANARY"),
+    *("submitit_slurm hydra.launcher.account='x;touch CANARY'", "submitit_slurm hydra.launcher.array_parallelism=1\n#SBATCH"),
+    *("submitit_slurm hydra.launcher.setup=['touch CANARY']", "submitit_slurm hydra.launcher.srun_args=[--prolog=CANARY]"),
+    *("submitit_slurm results_dir='x\ntouch CANARY'", "submitit_local hydra.launcher.timeout_min=${oc.env:HOSTILE_TAG}"),
+    *("submitit_local hydra.launcher.submitit_folder=OUTSIDE", f"submitit_local hydra.launcher._target_={PAYLOAD}.run"),
+    *("joblib hydra.launcher.temp_folder=OUTSIDE", "ray hydra.launcher.ray.init.address=ray://OUTSIDE:10001"),
+)
+#: Of `submit`, likewise.
+SUBMITTED = (
+    *("cluster.partition=$(touch CANARY)", "cluster.account='x\n#SBATCH --prolog=CANARY'", "cluster.qos='x;touch CANARY'"),
+    *("cluster.name=os.system", "cluster.at_once=1\ntouch CANARY", "results_dir='x\ntouch CANARY'", "cluster.setup=CANARY"),
+    *("hydra/launcher=joblib", "cluster={name:local,setup:[CANARY]}", "cluster.minutes=${oc.env:HOSTILE_TAG}"),
 )
 #: Settings: targets, paths, packages, interpolations, sweeps, sizes, texts that end on a terminal or in a path.
 SETTINGS = (
@@ -112,6 +145,11 @@ def overrides() -> Iterator[Case]:
     for word in HYDRA:
         yield Case("Hydra's settings", word, ("train", *TINY, word), evil)
         yield Case("Hydra's settings, many runs", word, ("train", "-m", *TINY, word), evil)
+    for line in LAUNCHED:
+        launcher, _, word = line.partition(" ")
+        yield Case("Hydra's settings", line, ("train", "-m", *TINY, f"hydra/launcher={launcher}", word), evil, SEEN)
+    for line in SUBMITTED:
+        yield Case("a cluster's settings", line, ("submit", *TINY, line), evil, SEEN)
     for word in SETTINGS:
         name, _, value = word.partition("=")
         harmless = name in ("name", "seed", "results_dir")

@@ -23,6 +23,9 @@ def explain(error: Exception) -> tuple[str, int]:
     module = type(error).__module__
     if module.startswith(("hydra", "omegaconf")):
         return f"{sentence.split(' See https')[0]}; --help lists what there is", 2
+    if module.startswith(("submitit", "ray")):
+        last = str(error).strip().splitlines()[-1:]
+        return f"a job of the launcher did not end: {' '.join(last) or type(error).__name__}; resume=true continues it", 1
     if isinstance(error, OSError) and error.strerror is not None:
         what = f"{error.filename}: {error.strerror}" if error.filename is not None else error.strerror
         return f"{what}; check the path, its permissions and the free space", 1

@@ -64,8 +64,8 @@ def _rows(runs: Iterable[Run]) -> Iterable[list[str]]:
             method or "-",
             state,
             engine or "-",
-            _spans([one.seed for one in alike]),
-            _episodes(alike),
+            spans([one.seed for one in alike]),
+            episodes(alike),
             f"{sum(successes) / len(successes):.1f}{'' if state == 'evaluated' else ' (validation)'}" if successes else "-",
             f"{changed:%Y-%m-%d %H:%M}",
             f"{sum(one.size for one in alike) / 1e6:.1f}",
@@ -73,7 +73,7 @@ def _rows(runs: Iterable[Run]) -> Iterable[list[str]]:
         ]
 
 
-def _spans(numbers: Sequence[int]) -> str:
+def spans(numbers: Sequence[int]) -> str:
     """Numbers in order, as in ``0-2,5``."""
     spans: list[list[int]] = []
     for number in numbers:
@@ -84,7 +84,7 @@ def _spans(numbers: Sequence[int]) -> str:
     return ",".join("-".join(map(str, span)) for span in spans)
 
 
-def _episodes(alike: Sequence[Run]) -> str:
+def episodes(alike: Sequence[Run]) -> str:
     """How many episodes a training has; of one that has not ended, how many it has done, the least to the most."""
     of = str(max(one.episodes for one in alike) or "-")
     done = sorted({one.episode for one in alike})

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,16 +21,16 @@ from typing import Final
 import numpy as np
 import torch
 
-from uarm_rl import checks, workers
+from uarm_rl import checks, signals, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, flat
 from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import run as session
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
 from uarm_rl.learn.learner import Learner
-from uarm_rl.learn.loggers import Logger
+from uarm_rl.learn.loggers import Logger, Write
 from uarm_rl.learn.replay import ReplayBuffer
-from uarm_rl.learn.train import Schedule
+from uarm_rl.learn.train import Schedule, Stop
 from uarm_rl.task import positions
 from uarm_rl.task.env import ACTION_SIZE
 from uarm_rl.trained import policy_card, read_run, value_range
@@ -41,42 +41,74 @@ _TRANSIENT: Final = ("resume", "overwrite", "results_dir", "simulate_beside", "l
 
 def run(settings: Settings) -> None:
     """Train one policy in its run folder."""
+    stop = Stop()
+    if not train(settings, stop):
+        signals.hand_on(stop.signal)
+        raise SystemExit(130)
+
+
+def train(settings: Settings, stop: Stop, hear: Write | None = None) -> bool:
+    """Train one policy in its run folder. False when it was told to stop, by a signal or by whoever has ``stop`` too.
+
+    ``hear`` is called with the numbers of every episode and how many experiences there are.
+    """
     workers.one_thread()
     torch.set_num_threads(1)  # two threads are slower at this size, and would change the last bits
     for name in ("resume", "overwrite", "simulate_beside"):
         checks.boolean(name, settings[name])
     if settings["resume"] and settings["overwrite"]:
         raise UsageError("resume=true continues a run and overwrite=true deletes it; give one of them")
-    logger: Logger = build("logger", settings["logger"])
-    if logger.needs and not find_spec(logger.needs):
-        raise UsageError(f"logger={logger.needs} needs an extra; {checks.how_to_add(logger.needs)}")
     run_dir = output(settings)
     kept = {key: value for key, value in settings.items() if key not in _TRANSIENT}
     kept["sim"] = checks.mapping("sim", settings["sim"]) | {"gui": False}
     if settings["resume"] and session.is_finished(run_dir):
         session.check_same(run_dir, kept, read_run(run_dir))
         print(f"{run_dir} is finished; nothing to do")
-        return
-    schedule = Schedule(**{name: settings[name] for name in Schedule.__dataclass_fields__})
-    validation_positions = positions.load_packaged("validation_positions.csv", settings["sim"]["object_size_m"])
+        return True
     with ExitStack() as stack:
-        # Everything is built, and so every value checked, before the folder is touched.
-        validation_env = stack.enter_context(closing(build_env(settings, time_limit_s=settings["time_limit_s"])))
-        begin = _library if checks.text("agent.name", settings["agent"]["name"]).startswith("sb3_") else _ours
-        train = begin(settings, schedule, stack)
+        work = _built(settings, stack)  # and so every value is checked, before the folder is touched
         stack.enter_context(session.claim(run_dir, kept, read_run, resume=settings["resume"], overwrite=settings["overwrite"]))
-        experiences = schedule.episodes * schedule.experiences_per_episode
+        experiences = settings["episodes"] * settings["experiences_per_episode"]
         print(f"{run_dir}: {experiences:,} decisions and gradient steps in all")
-        finished = train(
-            run_dir,
-            validate=lambda policy: successes(validation_env, policy, validation_positions),
-            log=logger.opened(run_dir, flat(kept)),
-        )
+        finished = work(run_dir, log=_heard(build("logger", settings["logger"]).opened(run_dir, flat(kept)), hear), stop=stop)
     if finished:
         print(f"trained: {run_dir}; test it with: uarm-rl evaluate run={shlex.quote(str(run_dir))}")
     else:
         print(f"stopped: {run_dir}; the same command with resume=true continues it")
-        raise SystemExit(130)
+    return finished
+
+
+def check(settings: Settings) -> None:
+    """Raises what a training with these settings would raise before it touches its folder; builds all that it is made of."""
+    with ExitStack() as stack:
+        _built(settings, stack)
+
+
+def _built(settings: Settings, stack: ExitStack) -> Callable[..., bool]:
+    """A training, to be called with its folder, ``log`` and ``stop``."""
+    logger: Logger = build("logger", settings["logger"])
+    if logger.needs and not find_spec(logger.needs):
+        raise UsageError(f"logger={logger.needs} needs an extra; {checks.how_to_add(logger.needs)}")
+    schedule = Schedule(**{name: settings[name] for name in Schedule.__dataclass_fields__})
+    validation_positions = positions.load_packaged("validation_positions.csv", settings["sim"]["object_size_m"])
+    validation_env = stack.enter_context(closing(build_env(settings, time_limit_s=settings["time_limit_s"])))
+    begin = _library if checks.text("agent.name", settings["agent"]["name"]).startswith("sb3_") else _ours
+    return partial(
+        begin(settings, schedule, stack), validate=lambda policy: successes(validation_env, policy, validation_positions)
+    )
+
+
+@contextmanager
+def _heard(log: AbstractContextManager[Write], hear: Write | None) -> Iterator[Write]:
+    """A log whose rows ``hear`` gets too."""
+    with log as write:
+
+        def both(row: Mapping[str, float], experiences: int) -> None:
+            write(row, experiences)
+            if hear:
+                hear(row, experiences)
+
+        yield both
 
 
 def output(settings: Settings) -> Path:

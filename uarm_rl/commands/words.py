@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
-from typing import Final
+from typing import Final, NamedTuple
 
 from uarm_rl.checks import UsageError, how_to_add
 from uarm_rl.commands import COMMANDS
@@ -68,8 +68,34 @@ def _quoted(value: str) -> str:
 #: What a user of this program needs of Hydra. Its other switches and settings (callbacks, search paths, logging)
 #: could run code that a configuration names.
 FLAGS: Final = ("-m", "--multirun", "-h", "--help", "-c", "--cfg")
-_LAUNCHER_MODULES: Final = {"joblib": "hydra_plugins.hydra_joblib_launcher"}
-_HYDRA_OVERRIDES: Final = ("hydra/launcher=basic", *(f"hydra/launcher={name}" for name in _LAUNCHER_MODULES))
+
+
+class Launcher(NamedTuple):
+    """What carries out the jobs of ``-m``: its module, the extra that brings it, and which settings of it a word may give."""
+
+    module: str
+    extra: str
+    settings: Mapping[str, str]  # name: a pattern of all its value
+
+
+_COUNT: Final = "[1-9][0-9]{0,8}"
+#: These go into a job's script, so they are words and nothing else.
+_NAME: Final = "[A-Za-z0-9][A-Za-z0-9_.-]{0,99}"
+_JOBS: Final = {"timeout_min": _COUNT, "cpus_per_task": _COUNT, "mem_gb": _COUNT}
+_QUEUE: Final = {
+    **_JOBS,
+    "array_parallelism": _COUNT,
+    "max_num_timeout": _COUNT,
+    **dict.fromkeys(("partition", "account", "qos"), _NAME),
+}
+_RAY: Final = {"ray.init.address": "auto", "ray.init.num_cpus": _COUNT, "ray.remote.num_cpus": _COUNT}
+LAUNCHERS: Final = {
+    "basic": Launcher("hydra", "", {}),
+    "joblib": Launcher("hydra_plugins.hydra_joblib_launcher", "launch", {"n_jobs": f"-1|{_COUNT}"}),
+    "submitit_slurm": Launcher("hydra_plugins.hydra_submitit_launcher", "slurm", _QUEUE),
+    "submitit_local": Launcher("hydra_plugins.hydra_submitit_launcher", "slurm", _JOBS),
+    "ray": Launcher("hydra_plugins.hydra_ray_launcher", "ray", _RAY),
+}
 
 
 def check(words: list[str]) -> None:
@@ -88,11 +114,8 @@ def check(words: list[str]) -> None:
             raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
         if not word.startswith("-") and not re.match(r"[\w./@-]+=", word):
             raise UsageError(f"{word!r} is no setting; write name=value or --name value")
-        if word.startswith("hydra/launcher=") and word in _HYDRA_OVERRIDES and word.partition("=")[2] not in _launchers():
-            launcher = word.partition("=")[2]
-            raise UsageError(f"the launcher {launcher} is not installed; {how_to_add('launch')}")
-        if word.startswith("hydra") and word not in _HYDRA_OVERRIDES and not _is_job_count(word):
-            raise UsageError(f"{word} is not for the command line; of Hydra's own settings only hydra/launcher=joblib is")
+        if word.startswith("hydra"):
+            _check_hydras(word, _launcher(rest))
         name, _, value = word.partition("=")
         if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
             raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
@@ -110,9 +133,33 @@ def given_twice(words: Iterable[str]) -> list[str]:
     ]
 
 
-def _launchers() -> list[str]:
-    """The launchers of Hydra that are installed."""
-    return ["basic", *(name for name, module in _LAUNCHER_MODULES.items() if _is_there(module))]
+def _launcher(words: Iterable[str]) -> str:
+    """The name of the launcher that the words choose."""
+    return ["basic", *(word.partition("=")[2] for word in words if word.startswith("hydra/launcher="))][-1]
+
+
+def _check_hydras(word: str, chosen: str) -> None:
+    """Raises :class:`UsageError` for a word of Hydra's own that is not of the few that are taken."""
+    name, _, value = word.partition("=")
+    if name == "hydra/launcher" and value in LAUNCHERS:
+        if not _is_there(LAUNCHERS[value].module):
+            raise UsageError(f"the launcher {value} is not installed; {how_to_add(LAUNCHERS[value].extra)}")
+        return
+    setting, settings = name.removeprefix("hydra.launcher."), LAUNCHERS[chosen].settings if chosen in LAUNCHERS else {}
+    if setting == name or not any(setting in launcher.settings for launcher in LAUNCHERS.values()):
+        if name == "hydra/sweeper":
+            raise UsageError(f"{word} is not for the command line; uarm-rl sweep searches, with Optuna")
+        own = ", ".join(f"hydra.launcher.{one}" for one in settings)
+        raise UsageError(
+            f"{word} is not for the command line; of Hydra's own settings only hydra/launcher={'|'.join(LAUNCHERS)} is"
+            f"{f', and of this launcher {own}' if own else ''}"
+        )
+    if setting not in settings:
+        having = [launcher for launcher, one in LAUNCHERS.items() if setting in one.settings]
+        raise UsageError(f"{name} is for hydra/launcher={' or '.join(having)}, and the launcher here is {chosen}")
+    if not re.fullmatch(settings[setting], value):
+        kind = {_COUNT: "a whole number above 0", _NAME: "a name"}.get(settings[setting], settings[setting].split("|")[0])
+        raise UsageError(f"{name} must be {kind}, got {value!r:.60}")
 
 
 def _is_there(module: str) -> bool:
@@ -120,8 +167,3 @@ def _is_there(module: str) -> bool:
         return find_spec(module) is not None
     except ModuleNotFoundError:  # of the package around it
         return False
-
-
-def _is_job_count(word: str) -> bool:
-    name, _, value = word.partition("=")
-    return name == "hydra.launcher.n_jobs" and value.lstrip("-").isdigit()

@@ -18,11 +18,10 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
-from filelock import FileLock, Timeout
 
-from uarm_rl import checks, columns, files, signals
+from uarm_rl import checks, columns, files, locks, signals
 from uarm_rl.csvfile import Logbook
-from uarm_rl.files import CONFIG, LOCK, POLICY, PROGRESS
+from uarm_rl.files import CONFIG, HOLDER, LOCK, POLICY, PROGRESS
 from uarm_rl.learn import checkpoint
 from uarm_rl.learn.learner import Counters, Learner
 from uarm_rl.learn.loggers import Write, numbers
@@ -55,8 +54,13 @@ def claim(
     nobody allowed to continue or overwrite, one with other settings, or one that another process is training.
     """
     run_dir.mkdir(parents=True, exist_ok=True)
-    with _locked(run_dir):
-        others = [path for path in run_dir.iterdir() if path.name != LOCK]
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locks.held(run_dir))
+        except locks.LockError as error:
+            raise RunFolderError(str(error)) from None
+        stack.callback(_unlock_for_good, run_dir)
+        others = [path for path in run_dir.iterdir() if path.name not in (LOCK, HOLDER)]
         if others and overwrite:
             for path in others:
                 files.remove(path)
@@ -76,22 +80,11 @@ def claim(
         yield
 
 
-@contextmanager
-def _locked(run_dir: Path) -> Iterator[None]:
-    """Hold the folder's lock. A link or a pipe in its place is refused."""
-    path = run_dir / LOCK
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise RunFolderError(f"{path} is no plain file; remove it, or choose another name")
-    try:
-        with FileLock(path, timeout=0.5):  # `uarm-rl runs` may be looking, for a moment, whether it is held
-            try:
-                yield
-            finally:
-                if is_finished(run_dir):
-                    with suppress(PermissionError):  # Windows keeps a file that is open; filelock itself removes it there
-                        path.unlink(missing_ok=True)  # whoever waits for the lock notices that its file is another
-    except Timeout:
-        raise RunFolderError(f"another process is training in {run_dir}; wait for it or choose another name") from None
+def _unlock_for_good(run_dir: Path) -> None:
+    """A run that has finished needs no lock any more; whoever waits for it notices that its file is another."""
+    if is_finished(run_dir):
+        with suppress(PermissionError):  # Windows keeps a file that is open; filelock itself removes it there
+            (run_dir / LOCK).unlink(missing_ok=True)
 
 
 def check_same(run_dir: Path, settings: Settings, before: Settings) -> None:
@@ -106,18 +99,18 @@ def check_same(run_dir: Path, settings: Settings, before: Settings) -> None:
 
 
 @contextmanager
-def stop_on_signals(announce: Callable[[str], None]) -> Iterator[Stop]:
-    """Ctrl-C or SIGTERM asks for a stop after the decision in hand; a second Ctrl-C interrupts at once."""
-    stop = Stop()
+def stop_on_signals(stop: Stop, announce: Callable[[str], None]) -> Iterator[None]:
+    """Ctrl-C or another stop asks for one after the decision in hand; a second Ctrl-C interrupts at once."""
 
     def react(number: int) -> None:
-        if stop.requested:
+        if stop.requested and number == signals.STOPS[0]:  # schedulers send several signals, one after the other
             raise KeyboardInterrupt
-        stop.requested = True
-        announce("stopping and saving; press Ctrl-C again to leave at once")
+        if not stop.requested:
+            announce("stopping and saving; press Ctrl-C again to leave at once")
+        stop.requested, stop.signal = True, number
 
     with signals.heard(react):
-        yield stop
+        yield
 
 
 def run(
@@ -128,8 +121,10 @@ def run(
     validate: Callable[[Policy], Iterator[bool]],
     value_range: tuple[float, float],
     log: AbstractContextManager[Write],
+    stop: Stop,
 ) -> bool:
-    """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop.
+    """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop, by a signal or
+    by whoever has ``stop`` too.
 
     ``validate`` tells of one position after the other whether the policy reaches it. ``value_range`` are the lowest and
     highest return that the task allows: a critic outside it raises a warning. ``log`` is entered to take the rows too.
@@ -146,7 +141,7 @@ def run(
         stack.callback(logbook.close)
         write = stack.enter_context(log)
         bar = stack.enter_context(progress_bar(run_dir, schedule, counters))
-        stop = stack.enter_context(stop_on_signals(bar.say))
+        stack.enter_context(stop_on_signals(stop, bar.say))
 
         def end_of_episode(row: dict[str, object]) -> None:
             nonlocal snapshot, episode, on_disk

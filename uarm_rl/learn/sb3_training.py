@@ -145,6 +145,7 @@ def run(
     card: PolicyCard,
     validate: Callable[[ActorPolicy], Iterator[bool]],
     log: AbstractContextManager[Write],
+    stop: Stop,
 ) -> bool:
     """Train in ``run_dir``, from the beginning. True when finished, false when told to stop.
 
@@ -159,7 +160,7 @@ def run(
         stack.callback(logbook.close)
         write = stack.enter_context(log)
         bar = stack.enter_context(progress_bar(run_dir, schedule, counters))
-        stop = stack.enter_context(stop_on_signals(bar.say))
+        stack.enter_context(stop_on_signals(stop, bar.say))
 
         def end_of_episode(row: dict[str, object]) -> None:
             if counters.episode == schedule.episodes or counters.episode % schedule.validate_every == 0:

@@ -37,9 +37,11 @@ class Schedule:
 
 
 class Stop:
-    """Whether somebody asked the training to stop."""
+    """Whether somebody asked the training to stop, and with which signal, if it was one."""
 
-    requested = False
+    def __init__(self) -> None:
+        self.requested = False
+        self.signal = 0
 
 
 def train(

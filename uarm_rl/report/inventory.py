@@ -7,9 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from filelock import FileLock, Timeout
-
-from uarm_rl import columns, csvfile, files
+from uarm_rl import columns, csvfile, files, locks
 from uarm_rl.columns import RATE, TEXT, WHOLE, Column, pick
 from uarm_rl.report.records import (
     INVERSE_KINEMATICS,
@@ -40,7 +38,8 @@ class Run(NamedTuple):
     """One run. ``name`` is its folder's place below the results folder, without the seed.
 
     ``success`` is the share of test positions, or of the last validation where it is not ``evaluated``; NaN if neither is
-    there. ``changed_s`` is when one of its files was last written (s, Unix time), ``size`` in bytes.
+    there. ``holder`` is who trains it, empty for nobody. ``changed_s`` is when one of its files was last written (s, Unix
+    time), ``size`` in bytes.
     """
 
     name: str
@@ -48,6 +47,7 @@ class Run(NamedTuple):
     folder: Path
     method: str
     state: str
+    holder: str
     episode: int
     episodes: int
     success: float
@@ -74,6 +74,7 @@ def _run(name: str, folder: Path) -> Run:
     status = [path.stat() for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
     stale: list[str] = []
     tested = _values(folder / "evaluation.csv", _EVALUATION, stale)
+    holder = locks.holder(folder)  # asked first: it may finish meanwhile
     trained = (folder / files.POLICY).exists()
     episode, success = 0, math.nan
     if tested.get("success"):
@@ -88,7 +89,7 @@ def _run(name: str, folder: Path) -> Run:
     if (folder / "evaluation.csv").exists():
         state = "evaluated"
     else:
-        state = "trained" if trained else "training" if _is_locked(folder) else "interrupted"
+        state = "trained" if trained else "training" if holder else "interrupted"
     return Run(
         name=name,
         seed=seed_number(folder),
@@ -96,6 +97,7 @@ def _run(name: str, folder: Path) -> Run:
         method=_LABELS.get(folder.parent.name)
         or ", ".join(filter(None, (_name_of(settings, key) for key in ("buffer", "reward")))),
         state=state,
+        holder=holder,
         episode=episode,
         episodes=settings["episodes"] if isinstance(settings.get("episodes"), int) else 0,
         success=success,
@@ -141,20 +143,6 @@ def _name_of(settings: Mapping[str, Any], group: str) -> str:
     chosen = settings.get(group)
     name = chosen.get("name") if isinstance(chosen, Mapping) else None
     return name if isinstance(name, str) else ""
-
-
-def _is_locked(folder: Path) -> bool:
-    """Whether a process trains in the folder."""
-    path = folder / files.LOCK
-    if path.is_symlink() or not path.is_file():
-        return False
-    try:
-        with FileLock(path, timeout=0):
-            return False
-    except Timeout:
-        return True
-    except OSError:  # a folder that is only to be read
-        return False
 
 
 def stale_table(results_dir: Path, runs: Iterable[Run]) -> str:
