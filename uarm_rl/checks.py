@@ -136,7 +136,8 @@ def like(name: str, value: object, example: object) -> None:
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The known word that is nearest to one that does not exist, as the end of a sentence; empty if none is near."""
-    near = difflib.get_close_matches(word, list(known), n=1)
+    known = list(known)
+    near = [one for one in known if one.lower() == word.lower()] or difflib.get_close_matches(word, known, n=1)
     return f"; did you mean {near[0]}?" if near else ""
 
 

@@ -69,7 +69,7 @@ def _fail(sentence: str, code: int) -> NoReturn:
 def _dispatch(words: list[str]) -> None:
     if _completes(words):
         return
-    if not words or words[0] in ("-h", "--help"):
+    if not words or words[0] in ("-h", "--help", "help"):
         print(overview())
     elif words[0] == "--version":
         from uarm_rl import __version__

@@ -24,7 +24,7 @@ from uarm_rl.configuration import Settings, build, build_env, compose
 from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import Row, measure, settled_distance_m, trace_rows
-from uarm_rl.files import POLICY
+from uarm_rl.files import CONFIG, POLICY
 from uarm_rl.progress import shown
 from uarm_rl.sim.servo import rise_time_s
 from uarm_rl.task import positions
@@ -100,6 +100,9 @@ def _outcome(success: Any, time_s: Any) -> tuple[float, float]:
 
 def _trained_runs(results_dir: Path) -> list[Path]:
     trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
+    begun = [path.parent for path in results_dir.glob(f"*/seed*/{CONFIG}") if path.parent not in trained]
+    if not trained and begun:
+        raise UsageError(f"{begun[0]} is not trained to its end; the line that began it, with resume=true, goes on with it")
     if not trained:
         raise UsageError(
             f"{results_dir} holds no trained run; make one with `uarm-rl train results_dir={shlex.quote(str(results_dir))}`, "
@@ -155,7 +158,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     names = [name for name in columns.EVALUATION if name not in left_out]
     write_rows(out, names, [{name: row[name] for name in names} for row in rows])
     successes = sum(bool(row["success"]) for row in rows)
-    print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}")
+    print(f"{run_dir}: {successes} of {len(rows)} positions reached; {out}, of which uarm-rl report makes tables and pictures")
 
 
 def _under_test(settings: Settings, run_settings: Settings) -> Settings:

@@ -25,9 +25,15 @@ eval "$(uarm-rl -sc install=bash)"   completion of commands, groups and values i
 """
 
 
+#: Between paragraphs.
+NEXT: Final = "\n\n"
+
+
 def overview() -> str:
     """All commands, a line each."""
-    return OVERVIEW.format(commands="\n".join(f"  {name:18} {_parts(name)[0]}" for name in COMMANDS))
+    return OVERVIEW.format(
+        commands="\n".join(f"  {name:18} {_parts(name)[0].partition(NEXT)[0].rstrip('.')}" for name in COMMANDS)
+    )
 
 
 def _parts(command: str) -> tuple[str, str]:

@@ -15,12 +15,14 @@ from pathlib import Path
 
 from uarm_rl import checks
 from uarm_rl.configuration import Settings, compose
-from uarm_rl.report.report import report
+from uarm_rl.report.report import PAGE, report
 
 
 def run(settings: Settings) -> None:
     """Rebuild table and figures."""
-    print(report(output(settings), compose("train", ("sim=pybullet",))))
+    folder = output(settings)
+    print(report(folder, compose("train", ("sim=pybullet",))))
+    print(f"open {folder / PAGE} in a browser: all of it on one page")
 
 
 def output(settings: Settings) -> Path:

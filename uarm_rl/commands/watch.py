@@ -64,6 +64,8 @@ def run(settings: Settings) -> None:
     ):
         print(f"{address}\nopen this address in a browser of this machine; Ctrl-C ends it", flush=True)
         if given == ["arm"]:
+            if not (folder / live.LIVE).exists():
+                print(f"{folder} has no {live.LIVE} yet; waiting for run-real watch=true, which writes it", flush=True)
             _show_arm(one, folder)
         else:
             _try_positions(one, shown, seed)

@@ -113,7 +113,7 @@ def check(words: list[str]) -> None:
         if word.startswith(("+", "~")):
             raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
         if not word.startswith("-") and not re.match(r"[\w./@-]+=", word):
-            raise UsageError(f"{word!r} is no setting; write name=value or --name value")
+            raise UsageError(f"{word!r} is no setting; write name=value, without spaces, or --name value")
         if word.startswith("hydra"):
             _check_hydras(word, _launcher(rest))
         name, _, value = word.partition("=")

@@ -41,7 +41,7 @@ def provenance(results_dir: Path) -> Section:
         "where it is another; success: on the test positions, or on the validation positions where none was made."
     )
     made = Table(("With", "Version"), _made_with(), left=2)
-    return Section(page=Document(made, Table(headings, rows, left=3, title=f"The {len(rows)} runs"), words))
+    return Section(page=Document(made, Table(headings, rows, left=3, title=f"Runs: {len(rows)}"), words))
 
 
 def _hash(path: Path) -> str:

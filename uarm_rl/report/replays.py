@@ -43,7 +43,7 @@ def replays(shown: Sequence[Method], runs: Runs, evaluations: Mapping[str, pd.Da
     """
     recorded = {method.folder: one for method in shown if (one := _recorded(method, runs, evaluations))}
     if not recorded:
-        return Section()
+        return Section(page=Document("Nothing was recorded; uarm-rl evaluate traces=3 records the first positions."))
     try:
         from uarm_rl.view.replay import record
     except ModuleNotFoundError as error:

@@ -9,11 +9,17 @@ from typing import Any, Final
 import pandas as pd
 
 from uarm_rl.report import tables
-from uarm_rl.report.records import LEANING, METHODS, SHAKING, Method, Runs, command, read_paper
+from uarm_rl.report.records import LEANING, METHODS, SHAKING, Method, Runs, command, read_config, read_paper
 from uarm_rl.report.tables import Content, Document, Section, Table
 
 _FURTHER: Final = {**SHAKING, **LEANING}
-CAPTION: Final = (
+_EPISODES: Final = 1500  # paper 4.1
+_METHODS: Final = (
+    "A and C learn from what the arm does once it is at rest (adaptive), B and D from every control step (uniform); C and D "
+    "are punished for moving the object (penalty). A position is reached when the cup stays for half a second within the "
+    "tolerance, 5 mm unless a run says otherwise, of the middle of the object's upper surface."
+)
+_CAPTION: Final = (
     "Success: share of the test positions, mean over seeds; its interval is Wilson's for one seed, a bootstrap over "
     "seeds and positions for several. The columns after the paper's success are means over seeds and positions; pressed and "
     "contact: of the deepest point and the largest force of each episode."
@@ -37,9 +43,23 @@ def table1(results_dir: Path, methods: Sequence[Method], runs: Runs, evaluations
     cells = [_cells(row, trained=len(runs[method.folder])) for row, method in zip(rows, methods, strict=True)]
     contents: dict[str, Content] = {
         "table1.csv": tables.csv(pd.DataFrame(rows)),
-        "table1.md": Document(Table(_HEADINGS, cells, left=3), CAPTION),
+        "table1.md": Document(Table(_HEADINGS, cells, left=3), *(short := _short(methods, runs)), _METHODS, _CAPTION),
     }
-    return Section(contents, _remarks(results_dir, runs), tables.aligned(_HEADINGS, cells, left=3))
+    text = "\n".join([tables.aligned(_HEADINGS, cells, left=3), *short])
+    return Section(contents, _remarks(results_dir, runs), text)
+
+
+def _short(methods: Sequence[Method], runs: Runs) -> list[str]:
+    """A sentence for each method whose training was shorter than the paper's."""
+    lengths = {
+        method.label: [read_config(run).get("episodes") for run in runs[method.folder]] for method in methods if method.buffer
+    }
+    return [
+        f"{label} was trained for {episodes} of the paper's {_EPISODES} episodes."
+        for label, several in lengths.items()
+        for episodes in dict.fromkeys(several)
+        if isinstance(episodes, int) and episodes < _EPISODES
+    ]
 
 
 def _row(method: Method, rows: pd.DataFrame, paper: Mapping[str, float]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from uarm_rl.sim.simulated_arm import Scene
+from uarm_rl.task import kinematics
 from uarm_rl.task.kinematics import Vector
 from uarm_rl.view.guard import guarded_server
 from uarm_rl.view.scene import ArmView, viser
@@ -32,6 +33,7 @@ class Page:
     def __init__(self, server: viser.ViserServer, stop: threading.Event, *, object_size_m: float, plays: bool) -> None:
         self._server, self._stop = server, stop
         self.arm = ArmView(server, object_size_m=object_size_m, hose=True)
+        self.arm.pose(kinematics.HOME_JOINTS_RAD)  # until there is something to show
         server.scene.configure_default_lights(cast_shadow=False)  # they reach no further than a part of the table
         server.initial_camera.fov = math.radians(35.0)
         server.initial_camera.position = (1.02, -0.63, 0.66)
