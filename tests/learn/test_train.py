@@ -186,7 +186,13 @@ def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):
         3, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=1
     )
     assert session.run(
-        tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), log=loggers.Csv().opened(tmp_path, {})
+        tmp_path,
+        one,
+        schedule,
+        validate=validate,
+        value_range=(-100.0, 100.0),
+        log=loggers.Csv().opened(tmp_path, {}),
+        stop=Stop(),
     )
     with open(tmp_path / "progress.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -213,7 +219,13 @@ def test_a_stop_during_a_validation_does_not_wait_for_its_end(tmp_path):
         4, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=4
     )
     assert not session.run(
-        tmp_path, one, schedule, validate=validate, value_range=(-100.0, 100.0), log=loggers.Csv().opened(tmp_path, {})
+        tmp_path,
+        one,
+        schedule,
+        validate=validate,
+        value_range=(-100.0, 100.0),
+        log=loggers.Csv().opened(tmp_path, {}),
+        stop=Stop(),
     )
     assert asked == [0, 1]
     assert checkpoint.read_latest(tmp_path).episode == 1
