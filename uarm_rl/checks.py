@@ -90,7 +90,8 @@ def generator_state(name: str, value: object) -> dict[str, Any]:
 def text(name: str, value: object) -> str:
     """``value`` if it is a text that is not empty; :class:`ValueError` with a sentence otherwise."""
     if not isinstance(value, str) or not value:
-        raise ValueError(f"{name} must be a text, got {_shown(value)}")
+        hint = "; is its value missing behind it?" if value is True else ""  # as of --name alone
+        raise ValueError(f"{name} must be a text, got {_shown(value)}{hint}")
     return value
 
 

@@ -122,6 +122,7 @@ def every_setting(settings: dict[str, Any], prefix: str) -> Iterator[tuple[str, 
         (("train", "servo=5"), "there is no servo=5; servo is one of instant, second_order, stepper"),
         (("train", "sim.name=box"), "sim.name must be one of pybullet, mujoco, got 'box'"),
         (("doctor", "calibration=3"), "calibration must be a text, got 3"),
+        (("doctor", "--calibration"), "calibration must be a text, got True; is its value missing behind it?"),
         (("doctor", "policy=null"), "policy must be a text, got None"),
         pytest.param(
             ("emulate", "colour=red"), "colour must be a list, as in colour=[217,38,26], got 'red'", marks=needs_pybullet
