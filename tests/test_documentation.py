@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import FAST
-from uarm_rl import cli, columns, combinations, configuration
+from uarm_rl import cli, columns, configuration
 from uarm_rl.commands import COMMANDS
 from uarm_rl.commands.words import as_overrides
 
@@ -87,7 +87,7 @@ def shortened(words: list[str]) -> list[str]:
     """The same command for a small run; a study is one of its runs."""
     command, *rest = words
     if "-m" in rest:  # its first job; `check` has composed all of them
-        rest = combinations.combinations([word for word in rest if not word.startswith(("-", "hydra"))])[1][0]
+        rest = configuration.combinations([word for word in rest if not word.startswith(("-", "hydra"))])[1][0]
     rest += SHORT.get(command, ())
     if command == "evaluate":
         rest = [*(word for word in rest if not word.startswith("positions=")), "positions=two.csv"]
@@ -100,12 +100,12 @@ def check(words: list[str]) -> None:
     command, *rest = words
     assert command in COMMANDS, words
     if command == "sweep":
-        space, others = combinations.search_space(as_overrides(rest))
+        space, others = configuration.search_space(as_overrides(rest))
         assert space
         assert configuration.compose(command, others)
     elif "--help" not in rest:
         rest = as_overrides([word for word in rest if word not in ("-m", "--cfg", "job")])
-        for overrides in combinations.combinations([word for word in rest if not word.startswith("hydra")])[1]:
+        for overrides in configuration.combinations([word for word in rest if not word.startswith("hydra")])[1]:
             assert configuration.compose(command, overrides)
 
 

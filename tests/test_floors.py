@@ -45,8 +45,7 @@ WINGS = {
         "configuration",
         "trained",
     },
-    "combinations": {"configuration"},
-    "cli": {"commands", "combinations", "configuration", "uarm_rl"},
+    "cli": {"commands", "configuration", "uarm_rl"},
     "uarm_rl": {"configuration", "task"},
     "__main__": {"cli"},
 }
@@ -54,7 +53,7 @@ ROOT_FILES = {"checks", "columns", "csvfile", "files", "locks", "progress", "sig
 
 #: Third-party packages, and the parts of the package that may use them.
 OWNERS = {
-    "hydra": ("cli", "combinations", "configuration"),
+    "hydra": ("cli", "configuration"),
     "omegaconf": ("cli", "configuration"),
     "pybullet": ("sim", "emulator.physics"),
     "mujoco": ("sim",),

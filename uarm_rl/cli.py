@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from uarm_rl import checks
 from uarm_rl.checks import UsageError
-from uarm_rl.combinations import combinations, search_space
 from uarm_rl.commands.errors import explain, printable
 from uarm_rl.commands.help import config_name, help_text, overview
 from uarm_rl.commands.words import as_overrides, check, given_twice
-from uarm_rl.configuration import Settings, compose, flat, our_hydra, plain
+from uarm_rl.configuration import Settings, combinations, compose, flat, our_hydra, plain, search_space
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

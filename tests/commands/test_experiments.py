@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import FAST
-from uarm_rl import cli, combinations, configuration
+from uarm_rl import cli, configuration
 from uarm_rl.studies import studies
 
 ROOT = Path(__file__).parents[2]
@@ -28,7 +28,7 @@ def lines(goal: str, **variables: str) -> list[list[str]]:
 
 def jobs(words: list[str]) -> list[list[str]]:
     """The overrides of every run that a line stands for."""
-    return combinations.combinations(words)[1]
+    return configuration.combinations(words)[1]
 
 
 @cache

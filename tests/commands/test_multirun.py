@@ -8,7 +8,7 @@ from itertools import product
 import pytest
 
 from tests.conftest import FAST, uarm_rl
-from uarm_rl import cli, combinations, configuration
+from uarm_rl import cli, configuration
 
 SHORT = ("episodes=1", "experiences_per_episode=20", "warmup_experiences=20", "time_limit_s=0.1", "simulate_beside=false")
 TINY = tuple({word.partition("=")[0]: word for word in (*FAST, *SHORT)}.values())
@@ -98,7 +98,7 @@ def test_one_job_twice_is_done_once(run, tmp_path):
 
 def test_studies_sweep_by_themselves_and_share_what_both_have(run, tmp_path):
     words = ("experiment=reference,dwell,A", "dwell_s=0.3,0.4", "seed=0")
-    swept, jobs = combinations.combinations(words)
+    swept, jobs = configuration.combinations(words)
     assert swept == {"experiment", "buffer", "dwell_s"}
     assert len(jobs) == 2 * 2 + 2 * 2 + 2
     composed = [configuration.compose("train", job) for job in jobs]

@@ -175,6 +175,18 @@ def test_an_episode_ends_although_nothing_is_admitted():
     assert [(row["experiences"], row["decisions"], row["admission_rate"]) for row in rows] == [(0, 7, 0.0), (0, 14, 0.0)]
 
 
+def run_in(folder, one, schedule, validate):
+    return session.run(
+        folder,
+        one,
+        schedule,
+        validate=validate,
+        value_range=(-100.0, 100.0),
+        log=loggers.Csv().opened(folder, {}),
+        stop=Stop(),
+    )
+
+
 def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):
     one, validated = learner(ORDINARY), []
 
@@ -185,15 +197,7 @@ def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):
     schedule = Schedule(
         3, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=1
     )
-    assert session.run(
-        tmp_path,
-        one,
-        schedule,
-        validate=validate,
-        value_range=(-100.0, 100.0),
-        log=loggers.Csv().opened(tmp_path, {}),
-        stop=Stop(),
-    )
+    assert run_in(tmp_path, one, schedule, validate)
     with open(tmp_path / "progress.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["validation_success_rate"] for row in rows] == ["", "0.4", "0.4"]  # the last one always
@@ -218,15 +222,7 @@ def test_a_stop_during_a_validation_does_not_wait_for_its_end(tmp_path):
     schedule = Schedule(
         4, 4, 20, batch_size=2, warmup_experiences=1, updates_per_experience=1, validate_every=2, checkpoint_every=4
     )
-    assert not session.run(
-        tmp_path,
-        one,
-        schedule,
-        validate=validate,
-        value_range=(-100.0, 100.0),
-        log=loggers.Csv().opened(tmp_path, {}),
-        stop=Stop(),
-    )
+    assert not run_in(tmp_path, one, schedule, validate)
     assert asked == [0, 1]
     assert checkpoint.read_latest(tmp_path).episode == 1
 
