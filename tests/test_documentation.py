@@ -123,7 +123,7 @@ def test_every_command_of_a_page_runs(page, place, request):
                 continue
             if rest[0] in ("run-real", "doctor", "jog") and "--dry-run" not in rest:
                 kept = [word for word in rest if word not in ("--port", "/dev/ttyACM0", "PATH")]
-                rest = [*kept, f"port={port}", *([] if rest[0] == "doctor" or "--speed" in rest else ["speed=50"])]
+                rest = [*kept, f"port={port}"]
             run(shortened(rest))
         elif program == "make":
             subprocess.run(["make", "-n", *rest], cwd=ROOT, capture_output=True, check=True)

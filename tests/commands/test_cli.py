@@ -64,6 +64,8 @@ def test_evaluating_again_gives_the_same_bytes(trained):
 def test_everything_evaluated_is_nothing_to_do(trained):
     done = uarm_rl("evaluate", cwd=trained)
     assert (done.returncode, "evaluated already" in done.stdout) == (0, True)
+    done = uarm_rl("evaluate", "results/uniform-plain/seed0", cwd=trained)
+    assert_refused(done, 2, "did you mean run=results/uniform-plain/seed0?")
 
 
 def test_an_evaluation_says_under_which_conditions_it_was_made(trained):
@@ -228,6 +230,9 @@ def test_the_whole_configuration_can_be_seen(tmp_path):
         (["train", "a b"], 2, ["'a b' is no setting", "name=value"]),
         (["train", "seed"], 2, ["'seed' is no setting"]),
         (["train", "job"], 2, ["'job' is no setting"]),
+        (["train", "episodes", "=", "30"], 2, ["'episodes' is no setting; write episodes=30, without spaces"]),
+        (["train", "-m", "seed=", "3"], 2, ["'3' is no setting; write seed=3, without spaces"]),
+        (["evaluate", "."], 2, ["'.' is no setting; did you mean results_dir=.?"]),
         (["train", "name='a"], 2, ["name='a cannot be read"]),
         (["train", "+x=1"], 2, ["adds or removes a setting"]),
         (["train", "--config-dir=."], 2, ["is no option"]),

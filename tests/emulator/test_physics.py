@@ -23,7 +23,7 @@ from uarm_rl import configuration
 from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.firmware import PARKED_DEG, Firmware
 from uarm_rl.emulator.realism import Settings
-from uarm_rl.real.ports import camera_beside, is_emulated
+from uarm_rl.real.ports import camera_beside, emulated_speed, is_emulated
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.task import kinematics, positions
 
@@ -405,6 +405,7 @@ def test_an_independent_client_picks_the_object_up():
     process, path, _ = start("object_position=[0.25,0.03,0.03]", "speed=20", "replace_object=false", "cup=bellows")
     client = Client(path)
     client.until(rb"@5 V1\n")
+    assert emulated_speed(path) == 20.0
     assert client.ask("P2203") == "ok V4.10.0"
     assert client.ask("P2234") == "ok V1"
     assert client.ask("M17") == "ok"

@@ -118,6 +118,7 @@ def test_the_command_films_two_on_the_same_positions(tmp_path, capsys):
     ("words", "sentence"),
     [
         (["pictures_per_second=3"], "pictures_per_second must divide control_hz, which is 20 in this run; got 3"),
+        ([f"compare={RUNS / 'adaptive-plain' / 'seed0'}/"], "is the run itself; name another one, or compare=ik"),
         (["compare=nowhere/seed0"], "there is no run folder nowhere/seed0"),
     ],
 )

@@ -289,6 +289,21 @@ def test_speed_is_for_emulators(run, tmp_path):
     assert (code, "speed=50 is for an emulator" in error) == (2, True)
 
 
+def test_an_emulator_says_its_speed_itself(run, served, tmp_path):
+    server, firmware = served
+    (tmp_path / "arm").symlink_to(server.path)
+    (tmp_path / "speed").write_text("50.0\n")
+    words = ("jog", "--port", tmp_path / "arm", "--joint", 1, "--degrees", 4)
+    code, _, error = run(*words, "--speed", 20)
+    assert code == 2
+    assert error.endswith(f"speed=20, and the emulator at {tmp_path / 'arm'} runs with 50; leave speed out\n")
+    assert firmware.heard == b""
+    assert session.connect(str(tmp_path / "arm"), parks=False)._speed == 50.0
+    assert run(*words)[0] == 0
+    (tmp_path / "speed").write_text("no number")
+    assert run(*words, "--speed", 50)[0] == 0
+
+
 def test_a_policy_of_another_servo_is_warned_of(run, tmp_path):
     policy_file(
         tmp_path / "run" / "policy.safetensors", servo={"name": "second_order"}, hold={"name": "fixed", "control_steps": 1}

@@ -42,7 +42,12 @@ def open_camera(settings: Settings) -> Any:
 def motion(settings: Settings) -> dict[str, Any]:
     """Limits, feed and speed of an arm that a command moves; :class:`ValueError` with a sentence before a port is opened."""
     feed = checks.number("feed", settings["feed"], low=0.1, high=250.0)
-    return {"limits": limits(settings["limits"]), "feed": feed, "speed": checks.number("speed", settings["speed"], low=0.1)}
+    return {"limits": limits(settings["limits"]), "feed": feed, "speed": speed(settings["speed"])}
+
+
+def speed(value: Any) -> float | None:
+    """The speed of an emulator, if it is given; :class:`ValueError` with a sentence for values that cannot be used."""
+    return None if value is None else checks.number("speed", value, low=0.1, high=50.0)
 
 
 def limits(settings: Mapping[str, Any]) -> Limits:

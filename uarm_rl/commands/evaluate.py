@@ -33,6 +33,8 @@ from uarm_rl.trained import in_engine, load_policy, read_run
 
 log = logging.getLogger(__name__)
 
+_NAMED = 2  # of many runs that have nothing to do
+
 
 def run(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
@@ -67,7 +69,9 @@ def run(settings: Settings) -> None:
         if run_dir not in done:
             _evaluate_run(settings, run_dir, compose("train", engine) if ik else read_run(run_dir), run_dir / file)
     if done:
-        print(f"evaluated already, {file} is there (out=NAME.csv is for another test): {', '.join(map(str, done))}")
+        others = f" and {len(done) - _NAMED} more" if len(done) > _NAMED else ""
+        names = ", ".join(map(str, done[:_NAMED])) + others
+        print(f"evaluated already, {file} is there (out=NAME.csv is for another test): {names}")
 
 
 def output(settings: Settings) -> Path:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from uarm_rl import checks, progress, workers
+from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build_env
 from uarm_rl.evaluation.film import Screen, Take, check_film, film, head_height, play, takes_of, write_film
 from uarm_rl.sim.simulated_arm import CAMERA, Camera, SimulatedArm
@@ -74,6 +75,8 @@ def _shows(settings: Settings) -> list[tuple[Any, Settings, str]]:
     wanted: list[tuple[Path, str | None]] = [(folder, settings["policy"])]
     if other is not None:
         wanted.append((folder, "ik") if other == "ik" else (checks.path("compare", other), None))
+        if wanted[0] == wanted[1]:
+            raise UsageError(f"compare={other} is the run itself; name another one, or compare=ik for the controller")
     shows = []
     for run_dir, name in wanted:
         run_settings = in_engine(read_run(run_dir), settings.get("sim"))

@@ -30,6 +30,7 @@ from uarm_rl.commands.arm_settings import (
     load_policy,
     object_size,
     open_camera,
+    speed,
     target,
     task_of,
 )
@@ -74,6 +75,7 @@ def run(settings: Settings) -> None:
     check_press(size_m[2], task.max_press_m, within)
     told = None if settings["target"] is None else target(settings["target"], task.max_press_m, within)
     arm_settings = {"limits": within, "feed": feed(card, settings["feed"]), "control_hz": card.control_hz}
+    emulator_speed = speed(settings["speed"])
     folder = home / "real" if settings["out"] is None else checks.path("out", settings["out"])
     rows = [] if dry_run else _begun(folder, settings)
     if len(rows) >= trials:
@@ -94,7 +96,7 @@ def run(settings: Settings) -> None:
                 search = RandomTargets(generator, size_m[2])
             else:
                 search = _camera_search(settings, stack, size_m, live)
-            arm = rehearse(print, **arm_settings) if dry_run else session.connect(port, speed=settings["speed"], **arm_settings)
+            arm = rehearse(print, **arm_settings) if dry_run else session.connect(port, speed=emulator_speed, **arm_settings)
             stack.enter_context(arm)
             if live is not None:
                 arm.on_state = live.moved

@@ -6,11 +6,13 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from uarm_rl.checks import UsageError, how_to_add
 from uarm_rl.commands import COMMANDS
 from uarm_rl.configuration import groups
+from uarm_rl.files import CONFIG
 
 #: Hydra's own options are no settings; the command line decides which of them it takes. (``run`` is a setting here.)
 _HYDRAS: Final = (
@@ -113,12 +115,21 @@ def check(words: list[str]) -> None:
         if word.startswith(("+", "~")):
             raise UsageError(f"{word} adds or removes a setting; settings can only be changed, with name=value")
         if not word.startswith("-") and not re.match(r"[\w./@-]+=", word):
-            raise UsageError(f"{word!r} is no setting; write name=value, without spaces, or --name value")
+            raise UsageError(f"{word!r} is no setting; {_meant(word, rest)}")
         if word.startswith("hydra"):
             _check_hydras(word, _launcher(rest))
         name, _, value = word.partition("=")
         if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
             raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
+
+
+def _meant(word: str, words: list[str]) -> str:
+    """What a word that is no setting may have been meant as."""
+    if spaced := re.search(r"([a-z][\w./@-]*)(?: +=| *= +) *(\S+)", " ".join(words)):
+        return f"write {spaced[1]}={spaced[2]}, without spaces"
+    if (folder := Path(word)).is_dir():
+        return f"did you mean {'run' if (folder / CONFIG).exists() else 'results_dir'}={word}?"
+    return "write name=value, without spaces, or --name value"
 
 
 def given_twice(words: Iterable[str]) -> list[str]:

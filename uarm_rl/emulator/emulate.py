@@ -21,6 +21,7 @@ from uarm_rl.emulator.optics import Optics, Picture, plain_texture, tag_texture
 from uarm_rl.emulator.physics import Place, World
 from uarm_rl.emulator.pty import MAX_SPEED, PtyServer
 from uarm_rl.emulator.realism import Realism, Settings
+from uarm_rl.real.ports import SPEED
 from uarm_rl.real.vision.camera_model import Calibration, nominal
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.task import kinematics, positions
@@ -48,6 +49,7 @@ def emulate(*, speed: float, **workplace: Any) -> None:
         PtyServer(place.camera, speed=speed, reset_on_open=False) as camera,
         TemporaryDirectory(prefix="uarm-rl-") as folder,
     ):
+        Path(folder, SPEED).write_text(f"{speed!r}\n")
         plugged = {"arm": arm, "camera": camera}
         for name, server in plugged.items():  # beside each other, so that who has the arm's finds the camera's
             Path(folder, name).symlink_to(server.path)

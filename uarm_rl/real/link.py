@@ -114,8 +114,7 @@ class Link:
                 noise = f"; instead it sent {self._last_noise!r}" if self._last_noise else ""
                 raise NoReplyError(
                     f"the arm was asked to {command.purpose} ({command}) and did not answer "
-                    f"within {timeout_s:.1f} s on {self.name}{noise}; check the cable, the power and that this is the "
-                    "arm's port, then reconnect"
+                    f"within {timeout_s:.1f} s on {self.name}{noise}; {_advice(self.name)}"
                 )
             reply = self._replies[number]
         finally:
@@ -204,6 +203,12 @@ class Link:
             # Firmware 3.2 reports its power alone.
             self.started |= isinstance(message, gcode.Report) and message.kind in (gcode.READY, gcode.POWER)
             self.on_event(message)
+
+
+def _advice(name: str) -> str:
+    if ports.is_emulated(name):
+        return "the emulator is gone, or too fast for a computer that has other things to do: start it with a smaller --speed"
+    return "check the cable, the power and that this is the arm's port, then reconnect"
 
 
 def open_link(port: str | None = None) -> Link:

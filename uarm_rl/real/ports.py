@@ -105,6 +105,8 @@ def named_port(device: Device, name: str | None) -> str:
     return name
 
 
+#: The file beside an emulated arm's port that says how fast the emulator runs.
+SPEED: Final = "speed"
 #: Pseudo-terminals, of Linux and of macOS.
 _PTY: Final = re.compile(r"/dev/(?:pts/\d+|ttys\d{3})")
 
@@ -118,6 +120,15 @@ def camera_beside(name: str) -> str | None:
     """The port of the emulated camera that lies beside an emulated arm's; ``None`` for others (see ``emulator.emulate``)."""
     path = os.path.join(os.path.dirname(name), "camera")
     return path if is_emulated(name) and is_emulated(path) else None
+
+
+def emulated_speed(name: str) -> float | None:
+    """How many times as fast as real the emulator runs whose arm is at a port; ``None`` if nothing says so."""
+    try:
+        with open(os.path.join(os.path.dirname(name), SPEED), encoding="ascii") as file:
+            return float(file.read()) if is_emulated(name) else None
+    except (OSError, ValueError):
+        return None
 
 
 def open_port(device: Device, name: str, *, write_timeout_s: float) -> Port:

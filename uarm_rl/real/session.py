@@ -10,19 +10,27 @@ from uarm_rl import columns, csvfile, files
 from uarm_rl.checks import UsageError
 from uarm_rl.csvfile import Logbook
 from uarm_rl.real.link import open_link
-from uarm_rl.real.ports import ARM, is_emulated, named_port
+from uarm_rl.real.ports import ARM, emulated_speed, is_emulated, named_port
 from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import Row, Trial
 
 TRIALS: Final = "trials.csv"
 
 
-def connect(port: str | None, *, speed: float = 1.0, **keywords: Any) -> SwiftArm:
-    """The arm at ``port``, or the one that is plugged in; the keywords are those of ``SwiftArm``."""
+def connect(port: str | None, *, speed: float | None = None, **keywords: Any) -> SwiftArm:
+    """The arm at ``port``, or the one that is plugged in; the keywords are those of ``SwiftArm``.
+
+    ``speed``: of an emulator, which need not be told where the emulator says it. Raises :class:`UsageError` for any of a real
+    arm, and for another than the emulator says.
+    """
     name = named_port(ARM, port)
-    if speed != 1.0 and not is_emulated(name):
-        raise UsageError(f"speed={speed:g} is for an emulator, and {name} is no pseudo-terminal; leave speed at 1")
-    return SwiftArm(open_link(name), speed=speed, **keywords)
+    own = emulated_speed(name) if is_emulated(name) else 1.0
+    if speed is not None and speed != own:
+        if not is_emulated(name):
+            raise UsageError(f"speed={speed:g} is for an emulator, and {name} is no pseudo-terminal; leave speed out")
+        if own is not None:
+            raise UsageError(f"speed={speed:g}, and the emulator at {name} runs with {own:g}; leave speed out")
+    return SwiftArm(open_link(name), speed=speed or own or 1.0, **keywords)
 
 
 def recorded(folder: Path) -> list[Row]:

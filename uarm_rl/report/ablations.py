@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -121,10 +121,13 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
     curves = {run: _curve(rows) for run, rows in progress.items()}
     section = Section()
     found: dict[str, pd.DataFrame] = {}
+    trained: set[str] = set()
+    tested: set[str] = set()
     for name, question in QUESTIONS.items():
         members = _members(question, points, point(usual))
         chosen = {run: study for run, study in members.items() if len(evaluations[run])}
-        section.remarks += _missing(folder, name, question, points, members, chosen)
+        trained |= members.keys()
+        tested |= chosen.keys()
         if set(chosen.values()) & set(question.studies):
             shortest = min(progress[run]["episode"].max() for run in chosen)
             rows = [_row(run, points[run]["buffer"], evaluations[run], progress[run], shortest) for run in chosen]
@@ -145,6 +148,7 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
         if name in found and len(choice := _choice(found[name], progress)):
             section.contents[f"{ABLATIONS}/{file}.csv"] = tables.csv(choice)
             section.contents[f"{ABLATIONS}/{file}.md"] = _choice_document(choice)
+    section.remarks += _missing(folder, [points[run] for run in trained], [points[run] for run in tested])
     return section
 
 
@@ -270,19 +274,16 @@ def _picture(question: Question, table: pd.DataFrame, curves: Mapping[str, pd.Da
     return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE, timed=question.timed), words)
 
 
-def _missing(
-    folder: Path, name: str, question: Question, points: Mapping[str, Point], trained: Iterable[str], tested: Iterable[str]
-) -> list[str]:
-    """A remark on the runs of a question that are not there or not evaluated, and the command for them."""
-    absent = {study: _absent(studies()[study], [points[run] for run in tested]) for study in question.shown}
-    lacking = [study for study, count in absent.items() if count]
+def _missing(folder: Path, trained: Sequence[Point], tested: Sequence[Point]) -> list[str]:
+    """A remark on the runs of the studies that are not there or not evaluated, and the command for them."""
+    asked = dict.fromkeys(study for question in QUESTIONS.values() for study in question.shown)
+    lacking = {study: count for study in asked if (count := _absent(studies()[study], tested))}
     if not lacking:
         return []
-    words = f"train -m resume=true experiment={','.join(lacking)}"
-    if not any(_absent(studies()[study], [points[run] for run in trained]) for study in lacking):
-        words = "evaluate"
-    runs = ", ".join(f"{absent[study]} of {study}" for study in lacking)
-    return [f"ablation {name}, missing runs: {runs}; {command(folder, words)} makes up for it"]
+    untrained = [study for study in lacking if _absent(studies()[study], trained)]
+    words = f"train -m resume=true experiment={','.join(untrained)}" if untrained else "evaluate"
+    runs = ", ".join(f"{count} of {study}" for study, count in lacking.items())
+    return [f"ablations, missing runs: {runs}; {command(folder, words)} makes up for it"]
 
 
 def _absent(sweep: Sweep, runs: Sequence[Point]) -> int:
