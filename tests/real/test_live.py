@@ -17,11 +17,12 @@ from uarm_rl.real.live import LiveFile, Watched
 from uarm_rl.real.swift_arm import ArmState, PumpState
 from uarm_rl.task import kinematics
 
+SIDES = (0.06, 0.03, 0.02)
 STATE = ArmState((0.1, 0.2, 0.3), (0.1, 0.2, 0.4), True, PumpState.HOLDING, (0.2, 0.1, 0.03))
 
 
 def test_the_newest_moment_is_read_back_and_the_end_is_told(tmp_path):
-    with LiveFile(tmp_path / "real", emulated=True, encode=lambda picture: bytes(picture)) as file:
+    with LiveFile(tmp_path / "real", emulated=True, object_size_m=SIDES, encode=lambda picture: bytes(picture)) as file:
         file.moved(STATE._replace(moving=False))
         file.looked(np.array([1, 2, 3], np.uint8))
         file.tried("  1 held")
@@ -30,6 +31,7 @@ def test_the_newest_moment_is_read_back_and_the_end_is_told(tmp_path):
     assert last.ended
     assert (last.joints_rad, last.reference_rad, last.target_m) == (STATE.joints_rad, STATE.reference_rad, STATE.target_m)
     assert (last.moving, last.pump, last.said, last.trials, last.emulated) == (True, "holding", "  1 held", 1, True)
+    assert last.object_size_m == SIDES
     assert abs(last.written_s - time.time()) < 60
     assert live.read_picture(tmp_path / "real") == b"\1\2\3"
     assert {path.name for path in (tmp_path / "real").iterdir()} == {"live.json", "live.png"}
@@ -42,6 +44,8 @@ def test_the_newest_moment_is_read_back_and_the_end_is_told(tmp_path):
         {"joints_rad": [0.1, 0.2, "x"]},
         {"reference_rad": [0.1, 0.2, float("nan")]},
         {"target_m": 3},
+        {"object_size_m": [0.03, 0.03]},
+        {"object_size_m": [0.03, 0.03, 0]},
         {"moving": 1},
         {"pump": "<b>"},
         {"trials": -1},
@@ -67,7 +71,7 @@ def test_what_is_no_json_is_passed_over(tmp_path, text):
 
 def test_a_disk_that_takes_nothing_is_a_warning_once(tmp_path, caplog):
     (tmp_path / "real").write_text("no folder")
-    with caplog.at_level(logging.WARNING), LiveFile(tmp_path / "real", emulated=False) as file:
+    with caplog.at_level(logging.WARNING), LiveFile(tmp_path / "real", emulated=False, object_size_m=SIDES) as file:
         for _ in range(4):
             file.moved(STATE)
             time.sleep(0.06)
@@ -78,7 +82,7 @@ def test_a_disk_that_takes_nothing_is_a_warning_once(tmp_path, caplog):
 def test_the_end_waits_for_no_disk(tmp_path, monkeypatch):
     monkeypatch.setattr(live, "_END_S", 0.05)
     comes_back = threading.Event()
-    hangs = LiveFile(tmp_path, emulated=False, encode=lambda picture: b"x" * comes_back.wait(10.0))
+    hangs = LiveFile(tmp_path, emulated=False, object_size_m=SIDES, encode=lambda picture: b"x" * comes_back.wait(10.0))
     with hangs as file:
         file.looked(None)
         file.moved(STATE)

@@ -37,6 +37,10 @@ def test_object_and_mark_come_and_go(server):
     arm.draw_path(np.array([[0.2, 0.0, 0.15], [0.25, 0.1, 0.03]]))
     shown = server.get_scene_serializer().serialize()
     assert shown != before
+    arm.size_object((0.06, 0.03, 0.02))
+    arm.put_object((0.25, 0.1, 0.03))
+    assert arm._object.position[2] == pytest.approx(0.02)  # the upper surface stays where it was told
+    assert server.get_scene_serializer().serialize() != shown
     arm.put_object(None)
     arm.mark_target(None)
     assert server.get_scene_serializer().serialize() != shown

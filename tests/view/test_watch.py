@@ -43,7 +43,7 @@ def test_a_scene_is_shown_and_words_are_said(shown):
     assert not one.watched
     one.show(Scene((0.4, 0.3, 0.4), (0.25, 0.1, 0.015, 1.0, 0.0, 0.0, 0.0)), np.array([0.25, 0.1, 0.03]))
     np.testing.assert_allclose(one.arm.cup_m(), cup_position([0.4, 0.3, 0.4]), atol=1e-6)
-    one.show_arm(HOME_JOINTS_RAD, None, np.array([0.2, 0.0, 0.1]), holds=True)
+    one.show_arm(HOME_JOINTS_RAD, None, np.array([0.2, 0.0, 0.1]), object_size_m=(0.06, 0.03, 0.02), holds=True)
     np.testing.assert_allclose(one.arm.cup_m(), cup_position(HOME_JOINTS_RAD), atol=1e-6)
     one.draw_curve("Return", np.array([1.0, 2.0]), np.array([-3.0, -1.0]), "return")
     one.draw_curve("Return", np.array([1.0, 2.0, 3.0]), np.array([-3.0, -1.0, 0.0]), "return")

@@ -88,7 +88,7 @@ def run(settings: Settings) -> None:
     try:
         with ExitStack() as stack:
             stack.enter_context(signals.interrupt_once())
-            live = None if dry_run or not watch else _live(stack, folder, port, settings)
+            live = None if dry_run or not watch else _live(stack, folder, port, settings, size_m)
             search: Search
             if told is not None:
                 search = GivenTarget(told)
@@ -154,14 +154,15 @@ def _policy_for_the_arm(settings: Settings) -> tuple[Policy, PolicyCard, Path]:
     return policy, policy.card, path if path.is_dir() else path.parent
 
 
-def _live(stack: ExitStack, folder: Path, port: str | None, settings: Settings) -> LiveFile:
+def _live(stack: ExitStack, folder: Path, port: str | None, settings: Settings, size_m: tuple[float, float, float]) -> LiveFile:
     """The files for ``uarm-rl watch``, until everything else has been closed."""
     encode: Callable[[Any], bytes] | None = None
     if settings["target"] is None:  # and therefore a camera
         from uarm_rl.real.vision.camera import png
 
         encode = png
-    return stack.enter_context(LiveFile(folder, emulated=port is not None and is_emulated(port), encode=encode))
+    emulated = port is not None and is_emulated(port)
+    return stack.enter_context(LiveFile(folder, emulated=emulated, object_size_m=size_m, encode=encode))
 
 
 def _camera_search(

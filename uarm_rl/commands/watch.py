@@ -202,7 +202,13 @@ def _show_arm(one: Page, folder: Path) -> None:
             one.say(f"**{folder}**\n\nwaiting for {live.LIVE}, which `run-real watch=true` writes there")
             continue
         joints += _GLIDE * (np.array(now.reference_rad if now.moving else now.joints_rad) - joints)
-        one.show_arm(joints, now.target_m, kinematics.cup_position(now.reference_rad), holds=now.pump == "holding")
+        one.show_arm(
+            joints,
+            now.target_m,
+            kinematics.cup_position(now.reference_rad),
+            object_size_m=now.object_size_m,
+            holds=now.pump == "holding",
+        )
         if now.pictures != pictures and (picture := live.read_picture(folder)):
             one.show_picture(picture)
             pictures = now.pictures

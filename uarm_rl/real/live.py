@@ -43,6 +43,7 @@ class Live:
     joints_rad: JointPositions
     reference_rad: JointPositions  # where the arm was sent to last
     target_m: tuple[float, float, float] | None = None  # centre of the object's upper surface, once it was found
+    object_size_m: tuple[float, float, float] = (0.03, 0.03, 0.03)
     moving: bool = False
     pump: str = "unknown"
     said: str = ""  # the last trial's line
@@ -57,6 +58,8 @@ class Live:
             checks.numbers(name, getattr(self, name), (0.0, 0.0, 0.0), "three numbers")
         if self.target_m is not None:
             checks.position("target_m", self.target_m)
+        for side in checks.position("object_size_m", self.object_size_m):
+            checks.number("object_size_m", side, low=0.0, open_low=True)
         for name in ("moving", "emulated", "ended"):
             checks.boolean(name, getattr(self, name))
         for name in ("trials", "pictures"):
@@ -90,8 +93,15 @@ def read_picture(folder: Path) -> bytes | None:
 class LiveFile:
     """Writes the files while it is open; a context manager. None of its methods waits or raises."""
 
-    def __init__(self, folder: Path, *, emulated: bool, encode: Callable[[Any], bytes] | None = None) -> None:
-        self._folder, self._encode, self._emulated = folder, encode, emulated
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        emulated: bool,
+        object_size_m: tuple[float, float, float],
+        encode: Callable[[Any], bytes] | None = None,
+    ) -> None:
+        self._folder, self._encode, self._emulated, self._object_size_m = folder, encode, emulated, object_size_m
         self._state: ArmState | None = None
         self._said, self._trials, self._picture, self._pictures = "", 0, None, 0
         self._ended, self._warned = False, False
@@ -140,6 +150,7 @@ class LiveFile:
             joints_rad=state.joints_rad,
             reference_rad=state.reference_rad,
             target_m=state.target_m,
+            object_size_m=self._object_size_m,
             moving=state.moving,
             pump="unknown" if state.pump is None else state.pump.name.lower(),
             said=self._said,

@@ -59,11 +59,16 @@ def guarded_server(port: int, label: str) -> Iterator[tuple[viser.ViserServer, s
             raise RuntimeError("this viser listens in a way that cannot be guarded; install the version in constraints.txt")
         # What a button on the page would do: open a way in from the whole internet.
         setattr(server, "request_share_url", lambda *args, **words: None)  # noqa: B010 (a method is replaced)
-        server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+        set_theme(server)
         yield server, f"http://{LOOPBACK}:{port}/{secret}/"
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()
+
+
+def set_theme(server: viser.ViserServer, *, dark: bool = False) -> None:
+    """A page without viser's own buttons, light or ``dark``."""
+    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=dark)
 
 
 def _listening(port: int) -> socket.socket:

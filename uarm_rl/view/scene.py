@@ -54,7 +54,7 @@ class ArmView:
         hose: bool = False,
     ) -> None:
         scene = server.scene
-        self._scene, self._name, self._size_m = scene, name, object_size_m
+        self._scene, self._name, self._height_m = scene, name, object_size_m
         scene.add_frame(name, show_axes=False, position=place_m)
         deep, wide = TABLE_M
         scene.add_box(
@@ -75,12 +75,13 @@ class ArmView:
         for number, part in enumerate(shown):
             self._add_mesh(f"{paths[part.frame]}/mesh{number}", part.mesh, part.colour)
         self._object = scene.add_frame(f"{name}/object", show_axes=False, visible=False)
-        self._add_mesh(f"{name}/object/box", looks.box(object_size_m), looks.OBJECT)
+        self._box_m = object_size_m
+        self._box = self._add_mesh(f"{name}/object/box", looks.box(object_size_m), looks.OBJECT)
         self._mark = scene.add_cylinder(f"{name}/target", _MARK_M / 2.0, 0.001, color=_MARK_COLOUR, visible=False)
 
-    def _add_mesh(self, name: str, mesh: looks.Mesh, rgb: looks.Colour) -> None:
+    def _add_mesh(self, name: str, mesh: looks.Mesh, rgb: looks.Colour) -> viser.MeshHandle:
         vertices = mesh.vertices.astype(np.float32)
-        self._scene.add_mesh_simple(name, vertices, mesh.faces, color=colour(rgb), flat_shading=False)
+        return self._scene.add_mesh_simple(name, vertices, mesh.faces, color=colour(rgb), flat_shading=False)
 
     def pose(self, joints_rad: Sequence[float] | Vector, compression_m: float = 0.0) -> None:
         """Set joint1 to joint3 (rad; further ones are ignored): the rest follows, as the rods have it."""
@@ -94,12 +95,18 @@ class ArmView:
         """Where the drawn cup's tip is, shape (3,), from the base."""
         return self._cup_m
 
+    def size_object(self, sides_m: Sequence[float]) -> None:
+        """Give the object these sides (m): along x, along y, and its height."""
+        length, width, height = (float(side) for side in sides_m)
+        self._height_m = height
+        self._box.scale = (length / self._box_m, width / self._box_m, height / self._box_m)
+
     def put_object(self, top_m: Sequence[float] | Vector | None) -> None:
         """Show the object with the centre of its upper surface there (x, y, z from the base); ``None`` hides it."""
         self._object.visible = top_m is not None
         if top_m is not None:
             x, y, z = (float(value) for value in top_m)
-            self._object.position = (x, y, z - self._size_m / 2.0)
+            self._object.position = (x, y, z - self._height_m / 2.0)
 
     def put_object_at(self, pose: looks.Pose) -> None:
         """Show the object with its centre there, turned so."""

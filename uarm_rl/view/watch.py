@@ -9,7 +9,7 @@ import io
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -18,7 +18,7 @@ import numpy as np
 from uarm_rl.sim.simulated_arm import Scene
 from uarm_rl.task import kinematics
 from uarm_rl.task.kinematics import Vector
-from uarm_rl.view.guard import guarded_server
+from uarm_rl.view.guard import guarded_server, set_theme
 from uarm_rl.view.scene import ArmView, viser
 
 _PATIENCE_S: Final = 0.05  # how soon a button is obeyed
@@ -50,6 +50,8 @@ class Page:
             self._pause.on_click(lambda _: self._toggle())
             server.gui.add_button("Next position").on_click(lambda _: self._skips.set())
             self._speed = server.gui.add_dropdown("Speed", _SPEEDS, initial_value="1 x")
+        dark = server.gui.add_checkbox("Dark", initial_value=False)
+        dark.on_update(lambda _: set_theme(server, dark=dark.value))
 
     def _toggle(self) -> None:
         self._paused = not self._paused
@@ -97,13 +99,16 @@ class Page:
             self.arm.put_object_at((scene.object[:3], scene.object[3:]))
             self.arm.mark_target(target_m)
 
-    def show_arm(self, joints_rad: Vector, target_m: Any, reference_m: Any, *, holds: bool) -> None:
+    def show_arm(
+        self, joints_rad: Vector, target_m: Any, reference_m: Any, *, object_size_m: Sequence[float], holds: bool
+    ) -> None:
         """Show a real arm: the target, if it is known, with the object under it, and where the cup was sent to.
 
         What it ``holds``, unless it stands on its place still, hangs from the cup.
         """
         with self._server.atomic():
             self.arm.pose(joints_rad)
+            self.arm.size_object(object_size_m)
             self.arm.put_object(self.arm.cup_m() if holds and target_m is None else target_m)
             self.arm.mark_target(target_m)
             if self._reference is None:
