@@ -20,6 +20,7 @@ PROGRESS: Final = "progress.csv"
 POLICY: Final = "policy.safetensors"
 LOCK: Final = ".lock"  # held by the process that trains there
 PRUNED: Final = ".pruned"  # beside a run's folder: its sweep ended it, and it is not to be continued
+PICTURES: Final = "pictures"  # a folder, of what the camera saw, beside the trials of an arm
 HOLDER: Final = ".holder"  # which that is, renewed while it trains
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
@@ -345,7 +346,14 @@ def test_trials_on_an_arm_stand_beside_the_papers_and_an_emulated_arm_is_never_c
     real = tmp_path / "short" / "real_arm" / "seed0" / "real"
     write(real / "trials.csv", [{"success": int(n > 1), "reached": 1, "emulated": 1, "reason": ""} for n in range(20)])
     write(tmp_path / "real_arm" / "seed1" / "real-desk" / "trials.csv", [{"success": 1, "reached": 1, "emulated": 0}] * 4)
+    (real / "pictures").mkdir()  # where run-real puts them
+    for name, data in (("trial-002.png", b"\x89PNG two"), ("trial-001.png", b"\x89PNG one"), ("notes.txt", b"no picture")):
+        (real / "pictures" / name).write_bytes(data)
     report(tmp_path, {})
+    page = (tmp_path / "report.html").read_text()
+    photos = [page.index(b64encode(data).decode()) for data in (b"\x89PNG one", b"\x89PNG two")]
+    assert photos == sorted(photos)
+    assert b64encode(b"no picture").decode() not in page
     low, high = statistics.wilson_interval(18, 20)
     assert lines(tmp_path, "arm_trials.csv") == [
         "trials_of,arm,trials,success_rate,ci_low,ci_high,reached_rate",

@@ -46,7 +46,7 @@ def record(trials: Iterable[Trial], folder: Path, config: str, *, emulated: bool
 
     Behind the first ``keep_rows`` rows of a series that is continued; else what is in the folder is replaced.
     """
-    pictures = folder / "pictures"
+    pictures = folder / files.PICTURES
     pictures.mkdir(parents=True, exist_ok=True)
     for old in pictures.glob("trial-*.png") if not keep_rows else ():
         old.unlink()

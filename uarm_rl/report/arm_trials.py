@@ -10,6 +10,7 @@ from typing import Any, Final
 import pandas as pd
 
 from uarm_rl import files
+from uarm_rl.files import PICTURES
 from uarm_rl.report import statistics, tables
 from uarm_rl.report.records import TRIALS, read
 from uarm_rl.report.tables import Content, Document, Photo, Section, Table
@@ -94,7 +95,8 @@ def _each(title: str, trials: pd.DataFrame) -> Table:
 
 
 def _photos(folder: Path, name: str) -> Iterator[Photo]:
-    """The pictures beside the trials, the first of them in the order of their names."""
-    paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in _KINDS and path.stat().st_size <= _LARGEST]
+    """The pictures of the trials and those beside them, the first in the order of their names."""
+    found = [*sorted((folder / PICTURES).glob("*")), *sorted(folder.iterdir())]
+    paths = [path for path in found if path.suffix.lower() in _KINDS and path.stat().st_size <= _LARGEST]
     for path in paths[:_PHOTOS]:
         yield Photo(f"{path.name} of {name}", _KINDS[path.suffix.lower()], files.read(path, at_most=_LARGEST))

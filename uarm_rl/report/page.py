@@ -67,7 +67,8 @@ def _part(part: Part, figures: Mapping[str, str]) -> str:
         return figures.get(part.file, "")
     if isinstance(part, Photo):
         data, words = base64.b64encode(part.data).decode(), escape(part.words)
-        return f'<figure><img src="data:{part.kind};base64,{data}" alt="{words}"><figcaption>{words}</figcaption></figure>'
+        picture = f'<img src="data:{part.kind};base64,{data}" alt="{words}">'
+        return f'<figure class="photo">{picture}<figcaption>{words}</figcaption></figure>'
     return _stage(part) if isinstance(part, Stage) else _table(part)
 
 
