@@ -188,13 +188,13 @@ class SimArm(SimulatedArm):
 
     def advance(self) -> int:
         client, arm, motor_velocities = self._client, self._arm, self._motor_velocities
-        driven, bellows = self._driven, self._bellows
+        driven, bellows, torques_nm = self._driven, self._bellows, self.torques_nm
         for _ in range(self._steps_per_control):
             one, two, three, four, *lip = bullet.getJointStates(arm, driven, physicsClientId=client)
             joints, velocities = (one[0], two[0], three[0], four[0]), (one[1], two[1], three[1], four[1])
             asked = motor_velocities(joints, velocities)
             speeds: tuple[float, ...] = asked
-            forces: tuple[float, ...] = self.torques_nm
+            forces: tuple[float, ...] = torques_nm
             if bellows is not None:
                 velocity, force = bellows.push(lip[0][0])
                 speeds, forces = (*asked, velocity), (*forces, force)

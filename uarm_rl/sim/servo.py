@@ -81,6 +81,8 @@ class SecondOrder:
         v1 += stiffness * (r1 - q1) - damping * v1
         v2 += stiffness * (r2 - q2) - damping * v2
         v3 += stiffness * (r3 - q3) - damping * v3
+        if -limit <= v1 <= limit and -limit <= v2 <= limit and -limit <= v3 <= limit:  # as nearly always
+            return v1, v2, v3
         return max(-limit, min(limit, v1)), max(-limit, min(limit, v2)), max(-limit, min(limit, v3))
 
 

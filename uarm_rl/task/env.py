@@ -137,7 +137,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._reference = self._before = self._joints
             self._passed, self._last_action = 1, np.zeros(ACTION_SIZE + self._hold.choices)
         self._observation.begin()
-        self._object = self._place(options.get("object_position"))
+        self._object, self._in_reach = self._place(options.get("object_position")), True
         self._dwelt_steps = 0
         self._elapsed_steps = 0
         self._flag = False
@@ -290,20 +290,21 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def _sense(self, passed: int) -> bool:
         """Read arm and object after ``passed`` control steps; false if the object is out of reach."""
         self._joints = self.arm.read_joints()
-        if not all(math.isfinite(joint) for joint in self._joints):
+        if not all(map(math.isfinite, self._joints)):
             raise ArmError(f"the arm reports joints that are no numbers: {self._joints}")
         self._link_ends = kinematics.forward(self._joints)
         position = self.target.object_position()
-        if position is not None:
-            self._object = position
+        if position is not None and position != self._object:  # one at rest is as reachable as it was
+            self._object, self._in_reach = position, kinematics.reachable(position)
         self._elapsed_steps += passed
-        self._press_m = max(self._press_m, self._depth_m(self._link_ends[3].tolist()))
+        cup = self._link_ends[3].tolist()
+        self._press_m = max(self._press_m, self._depth_m(cup))
         self._contact_n = max(self._contact_n, self.arm.contact_n())
         # An arm that was seen only before and after several steps was near enough at the end of them, perhaps not before.
         stayed = passed if self._dwelt_steps else 1
-        self._dwelt_steps = self._dwelt_steps + stayed if self._distance_m() <= self._tolerance_m else 0
+        self._dwelt_steps = self._dwelt_steps + stayed if math.dist(cup, self._object) <= self._tolerance_m else 0
         self._flag = self._dwelt_steps >= self._dwell_steps
-        return position is not None and kinematics.reachable(position)
+        return position is not None and self._in_reach
 
     def state(self) -> NDArray[np.float64]:
         """Joints, cup and object as they are now: a row of the trace, shape (9,)."""

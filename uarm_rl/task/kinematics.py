@@ -133,12 +133,13 @@ def within_limits(joints_rad: Sequence[float] | Vector, tolerance_rad: float = 0
 
     ``tolerance_rad`` > 0 forgives so much beyond a limit, < 0 demands a margin.
     """
-    joint1, joint2, joint3 = (float(value) for value in joints_rad[:3])
-    depression = joint2 + joint3
-    pairs = zip((joint1, joint2, joint3), JOINT_LIMITS_RAD.tolist(), strict=True)
-    own = all(low - tolerance_rad <= angle <= high + tolerance_rad for angle, (low, high) in pairs)  # NaN fails
-    low, high = FOREARM_LIMITS_RAD
-    return own and low - tolerance_rad <= depression <= high + tolerance_rad
+    joint1, joint2, joint3 = joints_rad[0], joints_rad[1], joints_rad[2]
+    return bool(  # NaN fails
+        _LOW1 - tolerance_rad <= joint1 <= _HIGH1 + tolerance_rad
+        and _LOW2 - tolerance_rad <= joint2 <= _HIGH2 + tolerance_rad
+        and _LOW3 - tolerance_rad <= joint3 <= _HIGH3 + tolerance_rad
+        and FOREARM_LIMITS_RAD[0] - tolerance_rad <= joint2 + joint3 <= FOREARM_LIMITS_RAD[1] + tolerance_rad
+    )
 
 
 (_LOW1, _HIGH1), (_LOW2, _HIGH2), (_LOW3, _HIGH3) = JOINT_LIMITS_RAD.tolist()
