@@ -48,6 +48,17 @@ def folder(tmp_path, monkeypatch):
         ("uarm-rl render run=results/mine/", ["run=results/mine/seed0/"]),
         ("uarm-rl render --run results/m", ["results/mine/"]),
         ("uarm-rl train nosuch=3 epi", ["episodes="]),
+        ("uarm-rl train hyd", []),  # one run has no launcher
+        ("uarm-rl train -m hyd", ["hydra/launcher=", "hydra."]),
+        ("uarm-rl train -m hydra/launcher=submitit_", ["hydra/launcher=submitit_slurm", "hydra/launcher=submitit_local"]),
+        ("uarm-rl train -m hydra/launcher=joblib hydra.launcher.", ["hydra.launcher.n_jobs="]),
+        ("uarm-rl train -m hydra/launcher=submitit_slurm hydra.launcher.par", ["hydra.launcher.partition="]),
+        ("uarm-rl train -m hydra/launcher=ray hydra.launcher.ray.", ["hydra.launcher.ray.init.", "hydra.launcher.ray.remote."]),
+        (
+            "uarm-rl train -m hydra/launcher=ray hydra.launcher.ray.init.",
+            ["hydra.launcher.ray.init.address=", "hydra.launcher.ray.init.num_cpus="],
+        ),
+        ("uarm-rl train -m hydra/launcher=nosuch hydra.launcher.", []),
         ("uarm-rl nosuch ep", []),
         ("", []),
     ],

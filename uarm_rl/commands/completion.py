@@ -9,7 +9,7 @@ from typing import Any
 
 from uarm_rl.checks import UsageError
 from uarm_rl.commands import COMMANDS
-from uarm_rl.commands.words import FLAGS, as_overrides
+from uarm_rl.commands.words import FLAGS, LAUNCHERS, as_overrides, launcher
 from uarm_rl.configuration import compose, groups_of
 
 
@@ -43,7 +43,25 @@ def _known(command: str, given: list[str]) -> tuple[dict[str, Any], dict[str, li
         settings = compose(command, tuple(word for word in words if not word.startswith("-")), incomplete=True)
     except UsageError:
         settings = compose(command, incomplete=True)
-    return settings, groups_of(command)
+    choices = groups_of(command)
+    if {"-m", "--multirun"} & set(given):
+        choices["hydra/launcher"] = [*LAUNCHERS]
+        settings["hydra"] = {
+            "launcher": _nested(LAUNCHERS[chosen].settings) if (chosen := launcher(words)) in LAUNCHERS else {}
+        }
+    return settings, choices
+
+
+def _nested(names: Iterable[str]) -> dict[str, Any]:
+    """Dotted names as mappings in mappings, without values."""
+    found: dict[str, Any] = {}
+    for name in names:
+        *path, last = name.split(".")
+        inner = found
+        for key in path:
+            inner = inner.setdefault(key, {})
+        inner[last] = None
+    return found
 
 
 def _names(settings: Mapping[str, Any], word: str) -> list[str]:

@@ -117,7 +117,7 @@ def check(words: list[str]) -> None:
         if not word.startswith("-") and not re.match(r"[\w./@-]+=", word):
             raise UsageError(f"{word!r} is no setting; {_meant(word, rest)}")
         if word.startswith("hydra"):
-            _check_hydras(word, _launcher(rest))
+            _check_hydras(word, launcher(rest))
         name, _, value = word.partition("=")
         if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
             raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
@@ -144,7 +144,7 @@ def given_twice(words: Iterable[str]) -> list[str]:
     ]
 
 
-def _launcher(words: Iterable[str]) -> str:
+def launcher(words: Iterable[str]) -> str:
     """The name of the launcher that the words choose."""
     return ["basic", *(word.partition("=")[2] for word in words if word.startswith("hydra/launcher="))][-1]
 
