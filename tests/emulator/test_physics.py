@@ -26,6 +26,7 @@ from uarm_rl.emulator.realism import Settings
 from uarm_rl.real.ports import camera_beside, emulated_speed, is_emulated
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.task import kinematics, positions
+from uarm_rl.task.obstacles import boxes, leaves_room
 
 emulate = pytest.importorskip("uarm_rl.emulator.emulate")  # which needs PyBullet
 physics = pytest.importorskip("uarm_rl.emulator.physics")
@@ -326,6 +327,23 @@ def test_places_are_reachable_and_repeat_with_the_seed():
     assert all(positions.in_operating_range(np.array(top_m)) for top_m in found)
     with emulate.Workplace(**configured("nearest_m=0.3")) as place:
         assert math.hypot(*place.world.object_position()[:2]) >= 0.3
+
+
+def test_an_obstacle_stops_the_arm_and_no_object_is_put_beside_it():
+    row = [0.22, 0.1, 0.1, 0.03, 0.03, 0.2]
+    for seed in range(12):
+        with emulate.Workplace(**configured(f"seed={seed}", f"obstacle={row}")) as place:
+            assert leaves_room(place.world.object_position(), boxes("obstacle", row), 0.015)
+    ends = {}
+    for obstacle in ("null", str(row)):
+        with emulate.Workplace(**configured(f"obstacle={obstacle}", "object_position=[0.2,-0.2,0.03]")) as place:
+            place.firmware.advance(3.0)
+            for command in ("G0 X220 Y0 Z60 F30", "G0 X150 Y200 Z60 F30"):
+                place.firmware.advance(place.firmware.now_s, f"#1 {command}\n".encode())
+                place.firmware.advance(place.firmware.now_s + 4.0)
+            ends[obstacle] = place.world.motor_deg()[0]
+    assert ends["null"] > 140.0
+    assert ends[str(row)] < 120.0
 
 
 # Behind the firmware

@@ -15,6 +15,7 @@ from tests.bench import HOME, Bench, spares
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.real.audit import KnownObject, Limits, UnsafeCommandError, audit
 from uarm_rl.task import kinematics
+from uarm_rl.task.obstacles import Box, clearances_m
 
 
 @pytest.mark.parametrize(
@@ -165,3 +166,45 @@ def test_a_cup_that_is_too_deep_already_may_leave_and_not_go_deeper():
     assert left.pulled_up_m == 0.0
     kept = audit(joints_near((0.0, 0.0, -0.02)), inside, feed=20.0, limits=Limits(), single_step=False, known=OBJECT)
     assert kinematics.cup_position(kept.joints_rad)[2] > 0.02 - 1e-5
+
+
+# Obstacles
+
+POST = Box((0.2, 0.12, 0.1), (0.03, 0.03, 0.2))
+WITH_POST = Limits(obstacles=(POST,))
+
+
+@given(st.tuples(*[st.floats(0.0, 1.0)] * 3), st.tuples(*[st.floats(0.0, 1.0)] * 3))
+@settings(max_examples=60, deadline=None)
+def test_what_passes_keeps_all_of_the_arm_clear_of_an_obstacle_on_its_whole_way(start, end):
+    low, high = kinematics.JOINT_LIMITS_RAD.T
+    begin, wish = (kinematics.clip_to_limits(*(low + np.array(share) * (high - low)).tolist()) for share in (start, end))
+    before = clearances_m(np.array([begin]), [POST])[0]
+    with suppress(UnsafeCommandError):
+        audited = audit(wish, begin, feed=20.0, limits=WITH_POST, single_step=False)
+        shares = np.linspace(0.0, 1.0, 400)[:, np.newaxis]
+        way = np.array(begin) + shares * np.subtract(audited.joints_rad, begin)
+        assert clearances_m(way, [POST]).min() >= min(WITH_POST.obstacle_clearance_m, before) - 1e-4
+
+
+def test_the_way_past_an_obstacle_is_refused_with_the_limb_and_not_only_with_the_cup():
+    left, right, higher = (
+        tuple(kinematics.inverse(place)) for place in ((0.14, 0.24, 0.12), (0.24, 0.0, 0.12), (0.24, 0.0, 0.15))
+    )
+    with pytest.raises(UnsafeCommandError, match=r"the arm would be within 0 mm of an obstacle, and 10 mm are to be"):
+        audit(left, right, feed=20.0, limits=WITH_POST, single_step=False)
+    assert not audit(higher, right, feed=20.0, limits=WITH_POST, single_step=False).clamped
+    over = tuple(kinematics.inverse((0.28, 0.168, 0.1)))  # the cup is far behind the post, the forearm above it
+    behind = tuple(kinematics.inverse((0.29, 0.10, 0.1)))
+    assert math.dist(kinematics.cup_position(over)[:2], POST.centre_m[:2]) > 0.08
+    with pytest.raises(UnsafeCommandError, match="of an obstacle"):
+        audit(over, behind, feed=20.0, limits=WITH_POST, single_step=False)
+
+
+def test_an_arm_that_stands_too_near_an_obstacle_may_leave_it_and_not_approach():
+    near = Limits(obstacles=(Box((0.27, 0.055, 0.12), (0.04, 0.03, 0.24)),))
+    at, away, nearer = (tuple(kinematics.inverse(place)) for place in ((0.2, 0.0, 0.12), (0.2, -0.02, 0.12), (0.2, 0.01, 0.12)))
+    assert clearances_m(np.array([at]), near.obstacles)[0] < near.obstacle_clearance_m
+    audit(away, at, feed=20.0, limits=near, single_step=False)
+    with pytest.raises(UnsafeCommandError, match="of an obstacle"):
+        audit(nearer, at, feed=20.0, limits=near, single_step=False)

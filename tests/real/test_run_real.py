@@ -289,6 +289,22 @@ def test_speed_is_for_emulators(run, tmp_path):
     assert (code, "speed=50 is for an emulator" in error) == (2, True)
 
 
+def test_an_obstacle_that_is_told_is_not_approached(run, served, tmp_path):
+    server, firmware = served
+    words = ("--port", server.path, *TARGET, "--trials", 1, *FAST, "--obstacle")
+    code, _, error = run("run-real", *words, 0.2, 0.03, 0.1, 0.03, 0.03, 0.2)
+    assert (code, "is too near an obstacle for the arm to come down onto it" in error) == (2, True)
+    code, _, error = run("run-real", *words, 0.2, 0.03, 0.1)
+    assert (code, "obstacle must be x y z and the three sides, in metres" in error) == (2, True)
+    assert firmware.heard == b""
+    code, _, error = run("run-real", *words, -0.07, 0, 0.3, 0.04, 0.1, 0.04)  # it hangs where the elbow is at home
+    assert (code, "mm of an obstacle, and 10 mm are to be kept; choose another target" in error) == (1, True)
+    assert b"G2206" not in firmware.heard
+    assert b"M2231 V0" in firmware.heard
+    code, output, error = run("run-real", *words, 0.22, 0.2, 0.1, 0.03, 0.03, 0.2, "overwrite=true")
+    assert (code, error, "1 of 1 held" in output) == (0, "", True)
+
+
 def test_an_emulator_says_its_speed_itself(run, served, tmp_path):
     server, firmware = served
     (tmp_path / "arm").symlink_to(server.path)

@@ -15,6 +15,7 @@ from uarm_rl.real.audit import Limits
 from uarm_rl.real.ports import camera_beside
 from uarm_rl.real.trials import Task, out_of_reach
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.obstacles import boxes, leaves_room
 from uarm_rl.task.policy import ActorPolicy, PolicyCard, PolicyFileError
 
 _FEED: Final = 20.0
@@ -42,7 +43,7 @@ def open_camera(settings: Settings) -> Any:
 def motion(settings: Settings) -> dict[str, Any]:
     """Limits, feed and speed of an arm that a command moves; :class:`ValueError` with a sentence before a port is opened."""
     feed = checks.number("feed", settings["feed"], low=0.1, high=250.0)
-    return {"limits": limits(settings["limits"]), "feed": feed, "speed": speed(settings["speed"])}
+    return {"limits": limits(settings["limits"], settings["obstacle"]), "feed": feed, "speed": speed(settings["speed"])}
 
 
 def speed(value: Any) -> float | None:
@@ -50,9 +51,9 @@ def speed(value: Any) -> float | None:
     return None if value is None else checks.number("speed", value, low=0.1, high=50.0)
 
 
-def limits(settings: Mapping[str, Any]) -> Limits:
-    """The audit's limits from a configuration; :class:`ValueError` with a sentence for values that cannot be used."""
-    pairs = {}
+def limits(settings: Mapping[str, Any], obstacle: Any = None) -> Limits:
+    """The audit's limits, obstacles among them; :class:`ValueError` with a sentence for values that cannot be used."""
+    pairs: dict[str, Any] = {"obstacles": boxes("obstacle", obstacle)}
     for name in ("x_m", "y_m", "z_m"):
         pairs[name] = tuple(
             checks.numbers(f"limits.{name}", settings[name], (-0.1, 0.3), "two numbers in metres, low and high")
@@ -74,6 +75,8 @@ def target(value: Any, max_press_m: float, within: Limits) -> Vector:
     if reason := out_of_reach(place):
         raise UsageError(f"target={value}: {reason}; a target is three numbers in metres, e.g. --target 0.2 0 0.03")
     check_press(float(place[2]), max_press_m, within)
+    if not leaves_room(place, within.obstacles, within.obstacle_clearance_m):
+        raise UsageError(f"target={value} is too near an obstacle for the arm to come down onto it; move one of them")
     return place
 
 

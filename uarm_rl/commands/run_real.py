@@ -67,7 +67,7 @@ def run(settings: Settings) -> None:
     watch = checks.boolean("watch", settings["watch"])
     trials = checks.integer("trials", settings["trials"], low=1)
     size_m = object_size(settings["object_size_m"])
-    within = limits(settings["limits"])
+    within = limits(settings["limits"], settings["obstacle"])
     policy, card, home = _policy_for_the_arm(settings)
     for warning in check_policy(card, within.max_step_rad):
         print(f"warning: {warning}", file=sys.stderr)
@@ -100,7 +100,7 @@ def run(settings: Settings) -> None:
             stack.enter_context(arm)
             if live is not None:
                 arm.on_state = live.moved
-            put_down = None if told is not None else scattered(generator)
+            put_down = None if told is not None else scattered(generator, within)
             results = run_trials(arm, policy, search, task, put_down, trials=trials, first=done + 1)
             print(_HEADER, flush=True)
             if dry_run:

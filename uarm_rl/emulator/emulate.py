@@ -25,11 +25,13 @@ from uarm_rl.real.ports import SPEED
 from uarm_rl.real.vision.camera_model import Calibration, nominal
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.task import kinematics, positions
+from uarm_rl.task.obstacles import Box, boxes, leaves_room
 
 _LOOKS: Final = ("box", "sticker", "tag")
 _UNPAINTED: Final = (0.9, 0.9, 0.88)
 _TAG: Final = 0
 _WAIT_S: Final = 0.1
+_BESIDE_M: Final = 0.02  # between the arm over an object and an obstacle: somebody who puts an object down leaves it room
 
 
 def emulate(*, speed: float, **workplace: Any) -> None:
@@ -67,11 +69,11 @@ class Workplace:
     ``firmware`` and ``camera`` are devices: ``MemoryPort`` makes ports of them, ``PtyServer`` terminals.
 
     ``firmware``: V4.10, V4.5 or V3.2. ``sim``, ``cup``, ``realism``, ``faults``: the groups of that name in ``conf/``, as plain
-    values. ``object_position``: (x, y, z) in metres of the object's upper surface, or ``None`` for a random place that the
-    cup can reach, at least ``nearest_m`` from the base's axis. ``replace_object``: see :class:`World`. ``look``: ``box``
-    (painted all over), ``sticker`` (painted on top) or ``tag`` (an AprilTag on top). ``colour``: red, green, blue, 0 to
-    255. ``calibration``: file with lens and mount of the camera, or ``None`` for the nominal ones at ``image_size``
-    (w, h). ``seed`` determines everything random but not when bytes arrive.
+    values. ``object_position``: (x, y, z) in metres of the object's upper surface, or ``None`` for a random place that the cup
+    can reach, at least ``nearest_m`` from the base's axis. ``obstacle``: see :func:`uarm_rl.task.obstacles.boxes`.
+    ``replace_object``: see :class:`World`. ``look``: ``box`` (painted all over), ``sticker`` (painted on top) or ``tag`` (an
+    AprilTag on top). ``colour``: red, green, blue, 0 to 255. ``calibration``: file with lens and mount of the camera, or
+    ``None`` for the nominal ones at ``image_size`` (w, h). ``seed`` determines everything random but not when bytes arrive.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class Workplace:
         realism: Mapping[str, Any],
         faults: Mapping[str, Sequence[Mapping[str, Any]]],
         object_position: Sequence[float] | None,
+        obstacle: Any,
         nearest_m: float,
         replace_object: bool,
         look: str,
@@ -112,12 +115,14 @@ class Workplace:
             raise ValueError(f"the emulator's world is PyBullet's and has no other engine; leave sim={engine} out")
         height_m = float(sim["object_size_m"])
         checks.number("nearest_m", nearest_m, low=0.0, high=0.3)
+        standing = boxes("obstacle", obstacle)
         self.world: World = _build(
             "sim",
             World,
             world,
-            _places(of_places, height_m, nearest_m, _position(object_position)),
+            _places(of_places, height_m, nearest_m, _position(object_position), standing),
             cup=_cup(cup),
+            obstacles=standing,
             nearest_m=nearest_m,
             replace_object=replace_object,
             backlash_deg=real.backlash_deg,
@@ -214,12 +219,12 @@ def _position(position: Sequence[float] | None) -> Sequence[float] | None:
 
 
 def _places(
-    generator: np.random.Generator, height_m: float, nearest_m: float, first: Sequence[float] | None
+    generator: np.random.Generator, height_m: float, nearest_m: float, first: Sequence[float] | None, standing: Sequence[Box]
 ) -> Iterator[Place]:
     """Where the object is put, one after the other; at any angle, but for the place that somebody chose."""
     if first is not None:
         yield first, 0.0
     while True:
         place = positions.draw(generator, height_m)
-        if math.hypot(place[0], place[1]) >= nearest_m:
+        if math.hypot(place[0], place[1]) >= nearest_m and leaves_room(place, standing, _BESIDE_M):
             yield place, float(generator.uniform(-np.pi / 4.0, np.pi / 4.0))

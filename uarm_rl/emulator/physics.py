@@ -25,6 +25,7 @@ from uarm_rl.sim.pybullet_arm import SimArm, bullet
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import JointPositions
 from uarm_rl.task.kinematics import CUP_RADIUS_M, Vector
+from uarm_rl.task.obstacles import Box
 
 log = logging.getLogger(__name__)
 
@@ -59,8 +60,9 @@ class World:
     pushed out of reach or nearer than ``nearest_m`` to the base's axis, as soon as the cup is clear of it. All methods may
     be called from any thread.
 
-    ``backlash_deg``: play of each joint. ``suction_n``: what the seal bears, less in shear (friction). ``grip_s``: how
-    long the cup must be sealed before it holds. ``paint``: red, green, blue of the box, 0 to 1.
+    ``obstacles`` stand there for good. ``backlash_deg``: play of each joint. ``suction_n``: what the seal bears, less in
+    shear (friction). ``grip_s``: how long the cup must be sealed before it holds. ``paint``: red, green, blue of the box, 0
+    to 1.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class World:
         exact_cup: bool = False,
         cup: Bellows | None = None,
         gui: bool = False,
+        obstacles: Sequence[Box] = (),
         replace_object: bool = False,
         nearest_m: float = 0.0,
         backlash_deg: float = 0.0,
@@ -117,14 +120,18 @@ class World:
         self._sealed_s = self._overload_s = self._clear_s = self._looked_s = 0.0
         self._constraint: int | None = None  # PyBullet's number of what joins cup and object
         self._lifted = self._pressed = False
-        self._start(gui, paint)
+        self._start(gui, paint, obstacles)
         self._put_object(next(places))
 
-    def _start(self, gui: bool, paint: Sequence[float]) -> None:
+    def _start(self, gui: bool, paint: Sequence[float], obstacles: Sequence[Box]) -> None:
         client, arm, _, box, table = self._arm.bodies
         joints = kinematics.from_motor_deg(*PARKED_DEG).tolist()
         for joint, angle in enumerate((*joints, kinematics.level(joints[1], joints[2]))):
             bullet.resetJointState(arm, joint, angle, physicsClientId=client)
+        for obstacle in obstacles:
+            half = [side / 2.0 for side in obstacle.size_m]
+            shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
+            bullet.createMultiBody(0.0, shape, basePosition=obstacle.centre_m, physicsClientId=client)
         bullet.changeVisualShape(box, -1, rgbaColor=(*paint, 1.0), physicsClientId=client)
         if not gui:  # a plain that fills the picture costs more to draw than all the rest
             bullet.changeVisualShape(table, -1, rgbaColor=(0.0, 0.0, 0.0, 0.0), physicsClientId=client)

@@ -16,6 +16,7 @@ from uarm_rl.real.gcode import FEED_DEG_S, Command
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
 from uarm_rl.task.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
+from uarm_rl.task.obstacles import Box, way_clearances_m
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +45,8 @@ class UnsafeCommandError(ArmError):
 class Limits:
     """Where the cup may be (m, base frame), how far one step may go, how fast the motors may turn.
 
-    The default speed is the data sheet's 40 deg/s. ``max_step_rad`` bounds each of joint1..joint3 in one decision.
+    The default speed is the data sheet's 40 deg/s. ``max_step_rad`` bounds each of joint1..joint3 in one decision. No part of
+    the arm comes nearer than ``obstacle_clearance_m`` to one of the ``obstacles``.
     """
 
     x_m: tuple[float, float] = (-0.01, 0.37)
@@ -53,6 +55,8 @@ class Limits:
     table_clearance_m: float = 0.003
     max_step_rad: float = 0.25
     max_speed_deg_s: float = 40.0
+    obstacle_clearance_m: float = 0.01
+    obstacles: tuple[Box, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("x_m", "y_m", "z_m"):
@@ -60,6 +64,7 @@ class Limits:
             checks.number(f"limits.{name}[0]", low)
             checks.number(f"limits.{name}[1]", high, low=low)
         checks.number("limits.table_clearance_m", self.table_clearance_m, low=0.0, high=0.1)
+        checks.number("limits.obstacle_clearance_m", self.obstacle_clearance_m, low=0.0, high=0.1)
         checks.number("limits.max_step_rad", self.max_step_rad, low=0.0, high=math.pi, open_low=True)
         checks.number("limits.max_speed_deg_s", self.max_speed_deg_s, low=0.0, high=200.0, open_low=True)
 
@@ -117,8 +122,8 @@ def audit(
 
     Raises :class:`UnsafeCommandError` unless the reference is three finite numbers inside the joint limits and the coupled
     limits, the speed is allowed, no joint steps too far (``single_step``; homing and parking may), and the cup ends
-    and stays on its way inside the workspace, above the table and off the arm's own base. An arm that starts outside
-    (sagged onto the table) may move as long as that brings it no further outside.
+    and stays on its way inside the workspace, above the table and off the arm's own base, and all of the arm clear of the
+    obstacles. An arm that starts outside (sagged onto the table) may move as long as that brings it no further outside.
 
     A cup that would come too deep into the ``known`` object, or into its side, there or on its way, goes to the lowest place
     above that spares it.
@@ -147,6 +152,7 @@ def audit(
         log.info("motor angles B %.4f, L %.4f, R %.4f clamped to the limits: B %.4f, L %.4f, R %.4f", *end, *legal)
     _check_path(start, legal, limits)
     b1, j2, j3 = kinematics.from_motor_deg(*legal).tolist()
+    _check_obstacles(joints_rad, (b1, j2, j3), limits)
     return Audited(Command("G2206", *legal, feed), (b1, j2, j3), math.dist(start, legal), clamped, pulled_up_m)
 
 
@@ -230,6 +236,19 @@ def _check_path(start_deg: tuple[float, float, float], end_deg: tuple[float, flo
                 f"the cup would {'end' if at_end else 'pass'} at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {why}; "
                 "choose a target inside, or lift the arm by hand if it hangs low"
             )
+
+
+def _check_obstacles(start_rad: JointPositions, end_rad: JointPositions, limits: Limits) -> None:
+    """Look at the whole arm all along its way: no part of it may come nearer to an obstacle than it may, or is."""
+    if not limits.obstacles:
+        return
+    begins_m, *on_its_way_m = way_clearances_m(start_rad, end_rad, limits.obstacles, math.radians(_CLOSE_STEP_DEG)).tolist()
+    nearest_m, allowed_m = min(on_its_way_m), limits.obstacle_clearance_m
+    if nearest_m < min(allowed_m, begins_m - _ROUNDING_M):
+        raise UnsafeCommandError(
+            f"on its way to {_degrees(end_rad)} the arm would be within {1000.0 * max(0.0, nearest_m):.0f} mm of an obstacle, "
+            f"and {1000.0 * allowed_m:g} mm are to be kept; choose another target, or move the obstacle"
+        )
 
 
 def _cup(motor_deg: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
-from uarm_rl.real.audit import KnownObject, UnsafeCommandError
+from uarm_rl.real.audit import KnownObject, Limits, UnsafeCommandError
 from uarm_rl.real.swift_arm import PumpState, SwiftArm
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import Ghost
@@ -23,6 +23,7 @@ from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.hold import Hold
 from uarm_rl.task.kinematics import Vector
 from uarm_rl.task.observation import PaperObservation
+from uarm_rl.task.obstacles import leaves_room
 from uarm_rl.task.policy import Policy
 from uarm_rl.task.reward import DistanceReward
 from uarm_rl.task.rollout import run_episode
@@ -190,13 +191,15 @@ def run_trials(
         yield Trial(row, picture)
 
 
-def scattered(generator: np.random.Generator) -> Callable[[Vector], Vector]:
-    """Puts each object down at a random place of the operating range that the camera sees, at the height it came from."""
+def scattered(generator: np.random.Generator, within: Limits | None = None) -> Callable[[Vector], Vector]:
+    """Puts each object down at a random place of the operating range that the camera sees, at the height it came from, and
+    where the obstacles, if there are any, leave room for the arm."""
+    obstacles, clearance_m = (within.obstacles, within.obstacle_clearance_m) if within else ((), 0.0)
 
     def put_down(target_m: Vector) -> Vector:
         while True:
             place = positions.draw(generator, float(target_m[2]))
-            if math.hypot(place[0], place[1]) >= _SEEN_FROM_M:
+            if math.hypot(place[0], place[1]) >= _SEEN_FROM_M and leaves_room(place, obstacles, clearance_m):
                 return place
 
     return put_down

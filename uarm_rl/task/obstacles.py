@@ -1,0 +1,128 @@
+"""Boxes that stand in the way, and how near the arm comes to them: all of it, not only the cup.
+
+The arm is a few capsules around the axes of its links, wide enough for what moves with them: rods, motors, hand, camera. The
+suction hose, which hangs free and gives, is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from uarm_rl import checks
+from uarm_rl.task import kinematics
+from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.positions import APPROACH_HEIGHT_M
+
+_BASE_M: Final = 0.094  # radius: half the diagonal of the base's square footprint; the turret's motors are nearer
+_BASE_TOP_M: Final = 0.075  # of the axis, so that the motors are in the dome above it
+_LIMB_M: Final = 0.058  # the lower arm with the rods behind it, the forearm with the one above it
+_HAND_M: Final = 0.055
+_CUP_M: Final = 0.012
+_CAMERA_M: Final = 0.03
+_CAMERA_AHEAD_M: Final = 0.075  # of the cup, on UFACTORY's mount
+_CAMERA_BELOW_M: Final = 0.03  # the wrist
+_RADII: Final[Vector] = np.array([_BASE_M, _LIMB_M, _LIMB_M, _HAND_M, _CUP_M, _CAMERA_M])
+_HALVINGS: Final = 40  # golden sections of an axis, which end below a nanometre
+_SECTION: Final = (math.sqrt(5.0) - 1.0) / 2.0
+#: No part of the arm moves farther than so much (m) while joint1, joint2 or joint3 turns by a radian.
+_LEVERS_M: Final[Vector] = np.array([0.48, 0.43, 0.29])
+
+
+class Box(NamedTuple):
+    """A box whose sides are parallel to the axes of the base frame; metres."""
+
+    centre_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+
+    def __str__(self) -> str:
+        place, size = (", ".join(f"{1000.0 * value:g}" for value in values) for values in self)
+        return f"the obstacle of ({size}) mm at ({place}) mm"
+
+
+def boxes(name: str, value: object) -> tuple[Box, ...]:
+    """Boxes as a user gives them: six numbers (x, y, z of the centre and the three sides, m), or a list of such.
+
+    Raises :class:`ValueError`, with the box, for what is none and for one that the arm's base stands in.
+    """
+    rows = [] if value is None else value
+    if not isinstance(rows, Sequence) or isinstance(rows, str):
+        raise ValueError(f"{name} must be six numbers, x y z and the three sides in metres, or a list of such; got {value!r}")
+    if rows and not isinstance(rows[0], Sequence):
+        rows = [rows]
+    return tuple(_box(f"{name}[{number}]" if len(rows) > 1 else name, row) for number, row in enumerate(rows))
+
+
+def _box(name: str, row: object) -> Box:
+    x, y, z, *size = checks.numbers(name, row, (0.2, 0.1, 0.05, 0.03, 0.03, 0.1), "x y z and the three sides, in metres")
+    for side in size:
+        checks.number(f"each side of {name}", side, low=0.0, high=2.0, open_low=True)
+    box = Box((x, y, z), (size[0], size[1], size[2]))
+    aside = [max(0.0, abs(at) - side / 2.0) for at, side in zip(box.centre_m[:2], box.size_m[:2], strict=True)]
+    if math.hypot(*aside) < _BASE_M and z - size[2] / 2.0 < _BASE_TOP_M + _BASE_M:
+        raise ValueError(f"{name}: {box} stands where the arm's base is; keep {1000.0 * _BASE_M:g} mm from its axis")
+    return box
+
+
+def clearances_m(joints_rad: Vector, obstacles: Sequence[Box]) -> Vector:
+    """How near the arm is to the nearest obstacle in each of the poses, shape (n, 3); shape (n,), below 0 inside it."""
+    starts, ends = _axes(joints_rad)
+    centres, sizes = (np.array(each) for each in zip(*obstacles, strict=True))
+    low, high = centres - sizes / 2.0, centres + sizes / 2.0
+    # The distance to a box is convex along a straight line, so sections find where an axis comes nearest.
+    start, along = starts[:, :, np.newaxis], (ends - starts)[:, :, np.newaxis]
+
+    def distance(share: Vector) -> Any:
+        point = start + share[..., np.newaxis] * along
+        return np.linalg.norm(np.maximum(0.0, np.maximum(low - point, point - high)), axis=-1)
+
+    left, right = np.zeros((*starts.shape[:2], len(obstacles))), np.ones((*starts.shape[:2], len(obstacles)))
+    for _ in range(_HALVINGS):
+        one, other = right - _SECTION * (right - left), left + _SECTION * (right - left)
+        lower = distance(one) <= distance(other)
+        left, right = np.where(lower, left, one), np.where(lower, other, right)
+    nearest: Vector = (distance((left + right) / 2.0) - _RADII[:, np.newaxis]).min(axis=(1, 2))
+    return nearest
+
+
+def leaves_room(top_m: Sequence[float] | Vector, obstacles: Sequence[Box], clearance_m: float) -> bool:
+    """Whether the cup can come straight down onto an upper surface there, from ``APPROACH_HEIGHT_M`` above, past the obstacles.
+
+    Raises ``UnreachableError`` for a place that it cannot reach at all.
+    """
+    if not obstacles:
+        return True
+    x, y, z = (float(value) for value in top_m)
+    way = [kinematics.inverse((x, y, z + rise_m)) for rise_m in (0.0, APPROACH_HEIGHT_M / 2.0, APPROACH_HEIGHT_M)]
+    return bool(clearances_m(np.array(way), obstacles).min() >= clearance_m)
+
+
+def way_clearances_m(start_rad: Sequence[float], end_rad: Sequence[float], obstacles: Sequence[Box], step_rad: float) -> Vector:
+    """How near the arm comes to an obstacle on a straight way in angles: where it starts, and in each of the pieces behind.
+
+    Nothing in between comes nearer: what the arm can move within half a piece, of at most ``step_rad``, is taken off of all.
+    """
+    start, turn = np.array(start_rad), np.subtract(end_rad, start_rad)
+    pieces = math.ceil(np.abs(turn).max() / step_rad) + 1
+    poses = start + np.linspace(0.0, 1.0, pieces + 1)[:, np.newaxis] * turn
+    near = clearances_m(poses, obstacles)
+    near[1:] = np.minimum(near[:-1], near[1:])
+    within: Vector = near - float(np.abs(turn) @ _LEVERS_M) / pieces / 2.0
+    return within
+
+
+def _axes(joints_rad: Vector) -> tuple[Vector, Vector]:
+    """Where the axes of the capsules begin and end, shape (n, 6, 3) each."""
+    shoulder, elbow, wrist, cup = np.moveaxis(np.array([kinematics.forward(joints) for joints in joints_rad]), 1, 0)
+    turn = joints_rad[:, 0]
+    ahead = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))])
+    hand = cup + (0.0, 0.0, kinematics.CUP_DOWN_M)
+    under = hand - (0.0, 0.0, _CAMERA_BELOW_M)
+    foot = np.zeros_like(cup)
+    return (
+        np.stack([foot, shoulder, elbow, wrist, hand, under], axis=1),
+        np.stack([foot + (0.0, 0.0, _BASE_TOP_M), elbow, wrist, hand, cup, under + _CAMERA_AHEAD_M * ahead], axis=1),
+    )
