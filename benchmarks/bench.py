@@ -24,6 +24,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,6 +38,7 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
 import uarm_rl
 from uarm_rl import configuration, trained
+from uarm_rl.commands.words import LAUNCHERS
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure
 from uarm_rl.learn import checkpoint
@@ -387,6 +389,42 @@ def bench_start(rounds: int) -> Iterator[Row]:
         yield Row(title, "s", 1 / rates[name], 1 / rates["python"], "python -c pass", rates[name] / rates["python"], target)
 
 
+def bench_launchers(rounds: int) -> Iterator[Row]:
+    """What a run costs beside its training, by who starts it: four runs of nothing, in processes of their own or one by one."""
+    program = str(Path(sys.executable).with_name("uarm-rl"))
+    nothing = (
+        "episodes=1",
+        "experiences_per_episode=1",
+        "max_decisions_per_episode=1",
+        "validate_every=1",
+        "time_limit_s=0.05",
+    )
+    launchers = {
+        "joblib": ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"),
+        "submitit_local": ("hydra/launcher=submitit_local",),
+        "ray": ("hydra/launcher=ray", "hydra.launcher.ray.init.num_cpus=2"),
+        "one_by_one": (),
+    }
+    there = {name: words for name, words in launchers.items() if words == () or find_spec(LAUNCHERS[name].module)}
+
+    def start(*words: str) -> None:
+        with tempfile.TemporaryDirectory(dir=HERE, prefix=".tmp-") as folder:
+            line = (program, "train", "-m", "seed=0,1,2,3", "simulate_beside=false", *nothing, *words, f"results_dir={folder}")
+            subprocess.run(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True, cwd=folder)
+
+    rates = alternate(rounds, **{name: (partial(start, *words), 4) for name, words in there.items()})
+    for name in [name for name in rates if name != "one_by_one"]:
+        yield Row(
+            f"a run of nothing, by {name}",
+            "s",
+            1 / rates[name],
+            1 / rates["one_by_one"],
+            "one by one",
+            rates[name] / rates["one_by_one"],
+            "",
+        )
+
+
 def bench_growth(episodes: int) -> Iterator[Row]:
     """Training rate and resident memory as a run grows; the ratio compares with the first third."""
     with closing(OurTraining(configuration.compose("train"), InlineEnv)) as more:
@@ -477,6 +515,7 @@ def main() -> None:
         "bench_side_by_side": partial(bench_side_by_side, max(1, rounds // 3), length),
         "bench_evaluation": partial(bench_evaluation, rounds),
         "bench_start": partial(bench_start, rounds),
+        "bench_launchers": partial(bench_launchers, max(1, rounds // 3)),
         "bench_checkpoints": partial(bench_checkpoints, rounds),
         "bench_growth": partial(bench_growth, growth),
     }
