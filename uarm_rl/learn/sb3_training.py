@@ -26,7 +26,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from uarm_rl import checks, columns
 from uarm_rl.csvfile import Logbook
 from uarm_rl.files import POLICY, PROGRESS
-from uarm_rl.learn.ddpg import DivergenceError
+from uarm_rl.learn.actor_critic import DivergenceError
 from uarm_rl.learn.learner import Counters
 from uarm_rl.learn.loggers import Write, numbers
 from uarm_rl.learn.run import progress_bar, stop_on_signals

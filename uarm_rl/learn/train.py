@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from uarm_rl import checks
-from uarm_rl.learn.ddpg import DivergenceError
+from uarm_rl.learn.actor_critic import DivergenceError
 from uarm_rl.learn.learner import Learner
 
 _LARGEST: Final = {"batch_size": 10_000}
