@@ -41,6 +41,7 @@ from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure
 from uarm_rl.learn import checkpoint
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
+from uarm_rl.learn.driver import alone
 from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule, Stop, train
@@ -259,8 +260,9 @@ class OurTraining:
     def __call__(self, episodes: int) -> None:
         goal, stop = self.counters.episode + episodes, Stop()
 
-        def end_of_episode(row: dict[str, object]) -> None:
+        def end_of_episode(row: dict[str, object]) -> tuple[()]:
             stop.requested = self.counters.episode >= goal
+            return ()
 
         schedule = Schedule(
             episodes=1500,
@@ -272,7 +274,7 @@ class OurTraining:
             validate_every=1500,
             checkpoint_every=1500,
         )
-        train(self.learner, schedule, lambda: None, end_of_episode, stop)
+        alone(train(self.learner, schedule, lambda: None, end_of_episode, stop), stop)
 
     def snapshot(self) -> Callable[[], checkpoint.Checkpoint]:
         """What a checkpoint saves, with a replay buffer that is full."""

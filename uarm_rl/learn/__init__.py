@@ -1,6 +1,7 @@
 """The learner.
 
-Read ``train.py`` first: the loop, and nothing else. What it is handed is one ``learner.py``, which can be saved and restored:
+Read ``train.py`` first: the loop, and nothing else; ``driver.py`` drives one of them, or many whose learners lie in a
+``stack.py``. What the loop is handed is one ``learner.py``, which can be saved and restored:
 
 - ``ddpg.py`` on ``actor_critic.py`` and ``network.py``: the agent, its gradient step, and the networks with their backward pass
   written out

@@ -46,11 +46,18 @@ class Tensors(NamedTuple):
     weight: Tensor | None  # (n, 1), or all alike
 
 
+def named(metrics: Tensor) -> dict[str, float]:
+    """An update's metrics, shape (5,), by name."""
+    return dict(zip(METRICS, metrics.tolist(), strict=True))
+
+
 class ActorCritic:
     """The networks of one agent; or of as many as there are ``rates``, a row of every tensor for each.
 
     ``sizes`` are the layers' widths of actor and critic; ``offset`` and ``scale`` those of the observations. Of several, each
-    has its own rates and moments, and those with 1 in ``resting``, shape (agents,), stay as they are in an update.
+    has its own rates and moments, and those with 1 in ``resting``, shape (agents,), stay as they are in an update. If they are
+    not ``batched``, those whose number is not in ``working`` are not even computed, and the others have the bytes that they
+    would have on their own.
     """
 
     def __init__(
@@ -60,7 +67,8 @@ class ActorCritic:
         *,
         offset: Tensor,
         scale: Tensor,
-        device: torch.device | str = "cpu",
+        device: str = "cpu",
+        batched: bool = False,
     ) -> None:
         actor, critic = self.sizes = sizes
         lead, each = ((len(rates),), rates) if isinstance(rates, list) else ((), [rates])
@@ -72,12 +80,12 @@ class ActorCritic:
         )
         self._parts = {"actor": slice(None, split), "critic": slice(split, None)}
         self._steps = {name: torch.zeros(lead, device=device) for name in self._parts}
-        self.actor, self.critic = (
-            Network(of, self.parameters[..., part], self._gradient[..., part])
+        self.working = list(range(len(each)))
+        one_by_one = self.working if lead and not batched else None
+        self.actor, self.critic, self.target_actor, self.target_critic = (
+            Network(of, parameters[..., part], None if gradient is None else gradient[..., part], one_by_one)
+            for parameters, gradient in ((self.parameters, self._gradient), (self.target_parameters, None))
             for of, part in zip(sizes, self._parts.values(), strict=True)
-        )
-        self.target_actor, self.target_critic = (
-            Network(of, self.target_parameters[..., part]) for of, part in zip(sizes, self._parts.values(), strict=True)
         )
         self.resting = torch.zeros(lead, device=device)
         self._tau = torch.tensor([one.tau for one in each], device=device) if lead else each[0].tau

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from uarm_rl import checks
-from uarm_rl.learn.actor_critic import METRICS, ActorCritic, DivergenceError, Rates, Tensors
+from uarm_rl.learn.actor_critic import ActorCritic, DivergenceError, Rates, Tensors, named
 from uarm_rl.learn.replay import Batch
 from uarm_rl.learn.returns import Returns
 from uarm_rl.task.observation import PaperObservation
@@ -78,17 +77,16 @@ class DDPG(ActorCritic):
         given = Tensors(*(None if field is None else torch.from_numpy(field) for field in batch))  # type: ignore[arg-type]
         errors, metrics = self.learn(given)
         self.errors = errors.numpy()
-        return self.sound(metrics, {f"the batch's {name}": field for name, field in given._asdict().items()})
+        self.check(metrics, {f"the batch's {name}": field for name, field in given._asdict().items()})
+        return named(metrics)
 
-    def sound(self, metrics: Tensor, batch: dict[str, Tensor | None]) -> dict[str, float]:
-        """An update's metrics by name. Raises :class:`DivergenceError` if one is not finite, naming the causes first."""
-        values = dict(zip(METRICS, metrics.tolist(), strict=True))
-        if not all(map(math.isfinite, values.values())):
-            held = batch | {"the gradient": self._gradient} | self.tensors()
+    def check(self, numbers: Tensor, batch: Mapping[str, Tensor | None] = {}) -> None:
+        """Raises :class:`DivergenceError` if one of the ``numbers`` is not finite, naming what else is not, causes first."""
+        if not numbers.isfinite().all():
+            held = {**batch, "the gradient": self._gradient, **self.tensors()}
             names = [name for name, tensor in held.items() if tensor is not None and not tensor.isfinite().all()]
             what = ", ".join(names) or "the loss"
             raise DivergenceError(f"training diverged: {what} no longer finite; the last checkpoint is good")
-        return values
 
     def load_tensors(self, tensors: dict[str, Tensor]) -> None:
         """Take over what ``tensors()`` of another agent of the same shape gave; ``ValueError`` if it does not fit."""

@@ -13,19 +13,41 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+Operation = Callable[..., Tensor]
+
+
+def _total(rows: Tensor, out: Tensor) -> Tensor:
+    return torch.sum(rows, -2, out=out)
+
+
+def _one_by_one(operation: Operation, rows: Sequence[int]) -> Operation:
+    """The operation on these rows of what it is given."""
+
+    def on_rows(*given: Tensor, out: Tensor) -> Tensor:
+        for row in rows:
+            operation(*(tensor[row] for tensor in given), out=out[row])
+        return out
+
+    return on_rows
+
 
 class Network:
     """A fully connected network, ReLU after each hidden layer, linear at the output.
 
     Parameters and their gradients live in two flat vectors given by the caller; layers are views of them. With matrices, a row
-    for each of several networks, these work side by side: whatever goes in and comes out then has their number before its
-    shape, and one call multiplies for all.
+    for each of several networks, these work side by side: whatever goes in and comes out has their number before its shape.
+    One call multiplies for all; or for each of ``rows``, which may change, one after the other, with the bytes of a network on
+    its own. (On a processor that is as fast, at this size.)
     """
 
-    def __init__(self, sizes: Sequence[int], parameters: Tensor, gradient: Tensor | None = None) -> None:
-        stacked = parameters.ndim > 1
-        self._product: Callable[..., Tensor] = torch.bmm if stacked else torch.mm
-        self._affine: Callable[..., Tensor] = torch.baddbmm if stacked else torch.addmm
+    def __init__(
+        self, sizes: Sequence[int], parameters: Tensor, gradient: Tensor | None = None, rows: Sequence[int] | None = None
+    ) -> None:
+        batched = parameters.ndim > 1 and rows is None
+        operations: list[Operation] = [torch.bmm, torch.baddbmm, _total] if batched else [torch.mm, torch.addmm, _total]
+        if rows is not None:
+            operations = [_one_by_one(operation, rows) for operation in operations]
+        self._product, self._affine, self._total = operations
         self.layers = self._views(sizes, parameters)
         self._gradients = [] if gradient is None else self._views(sizes, gradient)
         self._inputs: list[Tensor] = []
@@ -69,7 +91,7 @@ class Network:
         for number in reversed(range(len(self.layers))):
             into_weight, into_bias = self._gradients[number]
             self._product(self._inputs[number].mT, gradient, out=into_weight)
-            torch.sum(gradient, -2, out=into_bias)
+            self._total(gradient, out=into_bias)
             if number:
                 gradient = self._through(number, gradient)
 
@@ -77,7 +99,8 @@ class Network:
         """The loss's gradient at the inputs from column ``first`` on, given it at the last output."""
         for number in reversed(range(1, len(self.layers))):
             gradient = self._through(number, gradient)
-        return self._product(gradient, self.layers[0][0][..., first:, :].mT)
+        weight = self.layers[0][0][..., first:, :]
+        return self._product(gradient, weight.mT, out=self._buffer("backward", 0, gradient, weight.shape[-2]))
 
     def _through(self, number: int, gradient: Tensor) -> Tensor:
         """From the output of layer ``number`` to the output of the layer before, across its ReLU."""
