@@ -60,7 +60,8 @@ class Stack(ActorCritic):
         self._action = torch.zeros((len(buffers), 1, self.sizes[0][-1]), device=device)
         self._updated: set[int] = set()
         self.resting.fill_(1.0)  # so that what warms up changes nothing
-        self._update, self._act = recorded(self._update_all, device), recorded(self._act_for_all, device)
+        recorded = (self._update_all, self._act_for_all) if device.startswith("cuda") else ()
+        self._graphs = {work.__name__: _graph(work) for work in recorded}
 
     def _policy(self, number: int) -> ActorPolicy:
         """A learner's policy on its row here."""
@@ -76,7 +77,7 @@ class Stack(ActorCritic):
         for number, observation in observations.items():
             given[number, 0] = torch.from_numpy(observation)
         self._observation.copy_(given)
-        self._act()
+        self._carry_out(self._act_for_all)
         actions = self._action.numpy(force=True)
         return {number: actions[number, 0] for number in observations}
 
@@ -96,7 +97,7 @@ class Stack(ActorCritic):
         for there, here in ((self._drawn, drawn), (self._weight, weight), (self.resting, resting)):
             there.copy_(here)
         self.working[:] = progress
-        self._update()
+        self._carry_out(self._update_all)
         self._updated |= progress.keys()
         for number in progress:
             self.learners[number].counters.updates += 1
@@ -116,6 +117,10 @@ class Stack(ActorCritic):
         learner.agent.check(learner.agent.parameters)
         if number in self._updated:
             learner.metrics = named(self._metrics[number])
+
+    def _carry_out(self, work: Callable[[], None]) -> None:
+        graph = self._graphs.get(work.__name__)
+        graph.replay() if graph else work()
 
     def _update_all(self) -> None:
         rows = self._ring[self._drawn]
@@ -139,13 +144,11 @@ class Stack(ActorCritic):
         self._ring.index_copy_(0, where, torch.from_numpy(np.concatenate(rows)).to(self._ring.device))
 
 
-def recorded(work: Callable[[], None], device: str) -> Callable[[], None]:
-    """``work``, which reads and writes the same memory every time; on a GPU as one graph, launched at once.
+def _graph(work: Callable[[], None]) -> torch.cuda.CUDAGraph:
+    """``work``, which reads and writes the same memory every time, as one graph that a GPU is given at once.
 
-    There it is carried out a few times before. https://docs.pytorch.org/docs/stable/notes/cuda.html#cuda-graphs
+    It is carried out a few times before. https://docs.pytorch.org/docs/stable/notes/cuda.html#cuda-graphs
     """
-    if not device.startswith("cuda"):
-        return work
     beside = torch.cuda.Stream()  # type: ignore[no-untyped-call]
     beside.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(beside):
@@ -155,5 +158,4 @@ def recorded(work: Callable[[], None], device: str) -> Callable[[], None]:
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
         work()
-    replay: Callable[[], None] = graph.replay
-    return replay
+    return graph
