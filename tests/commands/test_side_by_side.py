@@ -1,4 +1,4 @@
-"""Many runs in one process, by the command line: the files of each are those of a run on its own, whatever becomes of others."""
+"""Many runs in one process, by the command line: each has the files of a run on its own, whatever becomes of the others."""
 
 from __future__ import annotations
 
