@@ -85,8 +85,8 @@ def test_one_after_the_other_they_have_the_bytes_of_learners_on_their_own():
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("hidden", [(40, 30), (400, 300)])
 def test_in_one_go_an_update_is_that_of_a_learner_on_its_own(hidden, device):
-    """The moments to 1e-6 of their size, in float32: products are added up in another order. Adam divides a gradient of nearly
-    nothing by itself, so that a parameter may differ by more, in the mean it does not."""
+    """To some 1e-6 of the numbers' size, in float32: products are added up in another order. Adam divides a gradient of nearly
+    nothing by itself, so a single parameter may differ by more; their mean does not."""
     alone, stacked = ([learner(seed, hidden=hidden) for seed in range(3)] for _ in range(2))
     for _ in range(5):
         for theirs, ours in zip(alone, stacked, strict=True):
@@ -100,8 +100,9 @@ def test_in_one_go_an_update_is_that_of_a_learner_on_its_own(hidden, device):
             for name, expected in numbers(theirs).items():
                 difference, size = np.abs(numbers(ours)[name] - expected), np.abs(expected).max()
                 moves = name.endswith("parameters")
-                assert (difference.mean() if moves else difference.max()) <= 1e-6 * size, name
-                assert difference.max() <= 0.1 * 1e-3 or not moves  # a tenth of a step
+                assert difference.mean() <= 1e-6 * size, name
+                assert difference.max() <= 3e-6 * size or moves, name
+                assert difference.max() <= 0.1 * 1e-3 or not moves, name  # a tenth of a step
                 assert not np.array_equal(expected, before[number][name])
             assert ours.metrics == pytest.approx(theirs.metrics, rel=1e-5, abs=1e-6)
 

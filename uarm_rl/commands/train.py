@@ -109,7 +109,8 @@ def _stacked(
     tools = {job["logger"]["name"] for job in jobs} - {"csv", "tensorboard"}
     if len(jobs) > 1 and tools:
         raise UsageError(f"logger={min(tools)} has one run a process, and these share one; take logger=csv or tensorboard")
-    with ProcessPoolExecutor(min(len(jobs), workers.cores()), workers.CONTEXT, workers.begin) as pool:
+    validating = min(len(jobs), workers.cores())
+    with ProcessPoolExecutor(validating, workers.CONTEXT, workers.begin) as pool:
         return driver.together(
             [_training(job, stop, hear, pool) for job, stop in zip(jobs, stops, strict=True)],
             stops,
