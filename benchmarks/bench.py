@@ -15,6 +15,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy
 
 import argparse
 import csv
+import math
 import resource
 import statistics
 import subprocess
@@ -43,9 +44,10 @@ from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure
 from uarm_rl.learn import checkpoint
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
+from uarm_rl.learn.driver import alone, together
 from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.replay import ReplayBuffer
-from uarm_rl.learn.train import Schedule, Stop, train
+from uarm_rl.learn.train import Schedule, Stop, Training, train
 from uarm_rl.sim.mujoco_arm import MujocoArm
 from uarm_rl.sim.simulated_arm import SimulatedArm
 from uarm_rl.task import observation, positions
@@ -259,10 +261,15 @@ class OurTraining:
         self(2)
 
     def __call__(self, episodes: int) -> None:
+        alone(*self.training(episodes))
+
+    def training(self, episodes: int) -> tuple[Training[None], Stop]:
+        """So many more episodes, to be driven, and their stop."""
         goal, stop = self.counters.episode + episodes, Stop()
 
-        def end_of_episode(row: dict[str, object]) -> None:
+        def end_of_episode(row: dict[str, object]) -> tuple[()]:
             stop.requested = self.counters.episode >= goal
+            return ()
 
         schedule = Schedule(
             episodes=1500,
@@ -274,7 +281,7 @@ class OurTraining:
             validate_every=1500,
             checkpoint_every=1500,
         )
-        train(self.learner, schedule, lambda: None, end_of_episode, stop)
+        return train(self.learner, schedule, lambda: None, end_of_episode, stop), stop
 
     def snapshot(self) -> Callable[[], checkpoint.Checkpoint]:
         """What a checkpoint saves, with a replay buffer that is full."""
@@ -345,6 +352,37 @@ def bench_side_by_side(rounds: int, episodes: int) -> Iterator[Row]:
             rates[name] += took
     medians = {name: statistics.median(values) for name, values in rates.items()}
     yield from compare("two runs side by side", "experiences/s", medians, "> 1.85")
+
+
+def bench_stacked(rounds: int) -> Iterator[Row]:
+    """Runs in one process against the same one after the other, which simulate beside too; on a GPU against one there."""
+    for device, runs in (("cpu", 4), ("cuda", 16)):
+        name = f"{runs} runs in one process, {device}"
+        if device == "cuda" and not torch.cuda.is_available():
+            yield Row(name, "experiences/s", math.nan, math.nan, "skipped: torch finds no GPU", math.nan, "")
+            continue
+        with ExitStack() as stack:
+            settings = configuration.compose("train")
+            many = [stack.enter_context(closing(OurTraining(settings, SubprocessEnv, seed))) for seed in range(runs)]
+
+            def side_by_side(some: list[OurTraining], device: str = device) -> None:
+                trainings, stops = zip(*(one.training(1) for one in some), strict=True)
+                together(trainings, stops, batch_size=BATCH, device=device, batched=device != "cpu", failed=refuse)
+
+            def in_turn(many: list[OurTraining] = many, side_by_side=side_by_side) -> None:
+                for one in many:
+                    side_by_side([one])
+
+            rates = alternate(
+                rounds,
+                side_by_side=(partial(side_by_side, many), runs * EPISODE),
+                one_after_the_other=(in_turn, runs * EPISODE),
+            )
+        yield from compare(name, "experiences/s", rates)
+
+
+def refuse(number: int, error: Exception) -> None:
+    raise error
 
 
 def bench_evaluation(rounds: int) -> Iterator[Row]:
@@ -513,6 +551,7 @@ def main() -> None:
         "bench_engines": partial(bench_engines, rounds),
         "bench_training": partial(bench_training, max(2, rounds // 2)),
         "bench_side_by_side": partial(bench_side_by_side, max(1, rounds // 3), length),
+        "bench_stacked": partial(bench_stacked, max(1, rounds // 3)),
         "bench_evaluation": partial(bench_evaluation, rounds),
         "bench_start": partial(bench_start, rounds),
         "bench_launchers": partial(bench_launchers, max(1, rounds // 3)),

@@ -24,7 +24,7 @@ def work(stream: io.StringIO, steps: int = 4) -> None:
     with redirect_stderr(stream), progress.progress(10, "episode", "mine/seed0", done=2) as bar:
         for step in range(steps):
             if step == 2:
-                bar.say("warning: something")
+                progress.say("warning: something")
             bar.set_postfix_str(f"success {step}", refresh=False)
             bar.update()
             bar.tick()

@@ -109,12 +109,9 @@ def _module(command: str) -> Any:
 def _run_many(command: str, overrides: list[str]) -> None:
     """Every combination of the overrides' values, one after the other or through the launcher that ``hydra/launcher`` names.
 
-    A job that fails is named at once and does not keep the others from running; what it failed with is its return value.
+    A command may also carry them out itself, side by side. A job that fails is named at once and does not keep the others from
+    running.
     """
-    from hydra._internal.callbacks import Callbacks
-    from hydra.core.plugins import Plugins
-    from hydra.types import HydraContext, RunMode
-
     swept, words = combinations(overrides)
     composed = [compose(command, job) for job in words]
     first = [number for number, settings in enumerate(composed) if settings not in composed[:number]]  # studies overlap
@@ -124,12 +121,34 @@ def _run_many(command: str, overrides: list[str]) -> None:
     if launch := getattr(_module(command), "launch", None):
         launch([composed[number] for number in first], overrides)
         return
+    failures: dict[int, Failure] = {}
+
+    def failed(number: int, error: Exception) -> None:
+        failures[number] = _failed(labels[number], error)
+
+    side_by_side = getattr(_module(command), "side_by_side", None)
+    if not side_by_side or not side_by_side([composed[number] for number in first], overrides, failed):
+        returned = _launched(command, overrides, swept, jobs, composed[0]["results_dir"])
+        failures = {number: failure for number, failure in enumerate(returned) if failure is not None}
+    if failures:
+        names = "; ".join(labels[number] for number in sorted(failures))
+        _fail(f"{len(failures)} of {len(jobs)} jobs failed: {names}", failures[min(failures)][1])
+
+
+def _launched(
+    command: str, overrides: list[str], swept: frozenset[str], jobs: list[list[str]], results_dir: str
+) -> list[Failure | None]:
+    """What each job failed with, carried out by the launcher that the overrides name."""
+    from hydra._internal.callbacks import Callbacks
+    from hydra.core.plugins import Plugins
+    from hydra.types import HydraContext, RunMode
+
     with our_hydra() as hydra:
         ours = [word.replace("hydra.launcher.ray.", "++hydra.launcher.ray.") for word in overrides if word.startswith("hydra")]
         if any(word.startswith("++hydra.launcher.ray.init.address=") for word in ours):
             ours.append("++hydra.launcher.ray.init.object_store_memory=null")  # a cluster that is there has its own
         if any(word.startswith("hydra/launcher=submitit") for word in ours):  # its scripts have the path
-            checks.shell_path("results_dir", str(Path(composed[0]["results_dir"]).absolute()))
+            checks.shell_path("results_dir", str(Path(results_dir).absolute()))
         if "results_dir" not in swept:  # where a launcher keeps what it needs
             ours += [word for word in overrides if word.startswith("results_dir=")]
         launcher = Plugins.instance().instantiate_launcher(
@@ -137,10 +156,7 @@ def _run_many(command: str, overrides: list[str]) -> None:
             task_function=partial(_job, command, swept, os.getcwd()),
             config=hydra.compose_config(config_name(command), ours, RunMode.MULTIRUN, with_log_configuration=False),
         )
-        failures: list[Failure | None] = [job.return_value for job in launcher.launch(jobs, initial_job_idx=0)]
-    failed = [(label, failure[1]) for label, failure in zip(labels, failures, strict=True) if failure is not None]
-    if failed:
-        _fail(f"{len(failed)} of {len(jobs)} jobs failed: {'; '.join(label for label, _ in failed)}", failed[0][1])
+        return [job.return_value for job in launcher.launch(jobs, initial_job_idx=0)]
 
 
 def _label(job: Iterable[str], swept: frozenset[str]) -> str:
@@ -183,12 +199,17 @@ def _job(command: str, swept: frozenset[str], folder: str, cfg: DictConfig) -> F
         os.chdir(folder)
         _module(command).run(plain(cfg))
     except Exception as error:
-        if os.environ.get("UARM_RL_TRACEBACK"):
-            raise
-        sentence, code = explain(error)
-        print(f"failed: {_label(HydraConfig.get().overrides.task, swept)}: {printable(sentence)}", file=sys.stderr, flush=True)
-        return sentence, code
+        return _failed(_label(HydraConfig.get().overrides.task, swept), error)
     return None
+
+
+def _failed(label: str, error: Exception) -> Failure:
+    """Name a job that failed."""
+    if os.environ.get("UARM_RL_TRACEBACK"):
+        raise error
+    sentence, code = explain(error)
+    print(f"failed: {label}: {printable(sentence)}", file=sys.stderr, flush=True)
+    return sentence, code
 
 
 def _completes(words: list[str]) -> bool:

@@ -17,6 +17,14 @@ LINE_EVERY_S: Final = 30.0
 T = TypeVar("T")
 
 
+def say(text: str) -> None:
+    """A line of text on stderr that bars leave alone."""
+    if sys.stderr.isatty():
+        tqdm.write(text, file=sys.stderr)
+    else:
+        print(text, file=sys.stderr, flush=True)
+
+
 class Bar(tqdm):  # type: ignore[type-arg]  # tqdm's own class cannot be given one
     """A bar on stderr, moved by ``update``."""
 
@@ -28,10 +36,6 @@ class Bar(tqdm):  # type: ignore[type-arg]  # tqdm's own class cannot be given o
         if not self.disable and now - self.last_print_t >= self.silence_s:
             self.last_print_t = now
             self.refresh()
-
-    def say(self, text: str) -> None:
-        """A line of text that the bar leaves alone."""
-        self.write(text, file=sys.stderr)
 
 
 class _Lines(Bar):
@@ -48,9 +52,6 @@ class _Lines(Bar):
 
     def clear(self, *_: Any, **__: Any) -> None:
         """What is written stays."""
-
-    def say(self, text: str) -> None:
-        print(text, file=self.fp, flush=True)
 
     def close(self) -> None:
         if not self.disable:

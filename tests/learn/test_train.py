@@ -15,6 +15,7 @@ from uarm_rl.learn import checkpoint, loggers
 from uarm_rl.learn import run as session
 from uarm_rl.learn.admission import NotStuck
 from uarm_rl.learn.ddpg import DDPG
+from uarm_rl.learn.driver import alone
 from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule, Stop, train
@@ -98,8 +99,13 @@ def run(one: Learner, **changes: int) -> list[dict[str, object]]:
     rest = {"warmup_experiences": 1, "updates_per_experience": 1, "validate_every": 1, "checkpoint_every": 1}
     rows: list[dict[str, object]] = []
     ticks: list[None] = []
-    schedule = Schedule(**(lengths | rest | changes))
-    train(one, schedule, end_of_decision=lambda: ticks.append(None), end_of_episode=rows.append, stop=Stop())
+    schedule, stop = Schedule(**(lengths | rest | changes)), Stop()
+
+    def end_of_episode(row):
+        rows.append(row)
+        return ()
+
+    alone(train(one, schedule, lambda: ticks.append(None), end_of_episode, stop), stop)
     assert len(ticks) == one.counters.decisions
     return rows
 
@@ -176,15 +182,9 @@ def test_an_episode_ends_although_nothing_is_admitted():
 
 
 def run_in(folder, one, schedule, validate):
-    return session.run(
-        folder,
-        one,
-        schedule,
-        validate=validate,
-        value_range=(-100.0, 100.0),
-        log=loggers.Csv().opened(folder, {}),
-        stop=Stop(),
-    )
+    stop, log = Stop(), loggers.Csv().opened(folder, {})
+    value_range = (-100.0, 100.0)
+    return alone(session.run(folder, one, schedule, validate=validate, value_range=value_range, log=log, stop=stop), stop)
 
 
 def test_a_run_validates_in_time_and_leaves_progress_and_policy(tmp_path):

@@ -3,7 +3,8 @@
 Read ``train.py`` first. ``uarm-rl run-real`` is ``run_real.py`` with the configuration ``conf/run_real.yaml``: a new command is
 a module here, a line in ``COMMANDS`` and a configuration file. A command may say with ``output(settings)`` to which file or
 folder it would write: jobs of a multirun must not share one. One that always has many jobs has ``launch(jobs, words)`` instead
-of ``run``, one that searches ``search(space, words)``. What the commands share:
+of ``run``, one that searches ``search(space, words)``; one that can carry out many itself has ``side_by_side(jobs, words,
+failed)`` too. What the commands share:
 
 - ``words.py``: which words a command line may have; ``help.py`` and ``completion.py``: what there is to write
 - ``errors.py``: exceptions as sentences

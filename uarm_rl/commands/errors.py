@@ -33,7 +33,7 @@ def explain(error: Exception) -> tuple[str, int]:
         return f"{error.name} is not installed; {_MISSING[error.name]}", 1
     if isinstance(error, ModuleNotFoundError) and error.name in _ENGINES:
         return sentence, 1
-    if isinstance(error, MemoryError) or "can't allocate memory" in sentence:
+    if isinstance(error, MemoryError) or "can't allocate memory" in sentence or "out of memory" in sentence:
         return "there is not enough memory for this; look for a size in the configuration that is far too large", 1
     if isinstance(error, RecursionError):
         return "something is nested too deeply to be read; look for a list of lists of lists", 1

@@ -40,7 +40,7 @@ _LAST: Final = 3
 #: A trial that nobody holds is somebody's that died; younger ones (s) may be about to be held.
 _YOUNG_S: Final = 10.0
 #: Settings that say how trials are carried out, not what comes of them.
-_TRANSIENT: Final = ("resume", "overwrite", "results_dir", "simulate_beside", "logger")
+_TRANSIENT: Final = ("resume", "overwrite", "results_dir", "simulate_beside", "stacked", "device", "logger")
 
 
 class StudyError(Exception):

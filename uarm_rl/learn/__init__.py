@@ -1,8 +1,10 @@
 """The learner.
 
-Read ``train.py`` first: the loop, and nothing else. What it is handed is one ``learner.py``, which can be saved and restored:
+Read ``train.py`` first: the loop, and nothing else; ``driver.py`` drives one of them, or many whose learners lie in a
+``stack.py``. What the loop is handed is one ``learner.py``, which can be saved and restored:
 
-- ``ddpg.py`` on ``network.py``: the agent, and the networks with their backward pass written out
+- ``ddpg.py`` on ``actor_critic.py`` and ``network.py``: the agent, its gradient step, and the networks with their backward pass
+  written out
 - ``replay.py``, ``admission.py``, ``returns.py``, ``sampling.py``, ``noise.py``: what is stored, what may enter, what it says
   of the future, what is drawn, and exploration
 - ``async_env.py``: the environment whose step is in two halves, here or in a process of its own

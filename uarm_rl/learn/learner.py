@@ -48,7 +48,7 @@ class Counters:
 class Learner:
     """An environment, the agent that learns in it with the policy that acts for it, and what it learns from.
 
-    ``policy`` is ``agent``'s own actor and follows it.
+    ``policy`` is ``agent``'s own actor and follows it. ``metrics`` are those of the last update.
     """
 
     env: AsyncEnv
@@ -58,6 +58,7 @@ class Learner:
     admission: Admission
     noise: OrnsteinUhlenbeck
     counters: Counters = field(default_factory=Counters)
+    metrics: dict[str, float] = field(default_factory=dict)
 
     def take(self, observation: Array, action: Array, step: Step) -> None:
         """Take in what came of a decision: it counts as an experience if it may enter, and then its control steps enter too."""
@@ -93,12 +94,11 @@ class Learner:
         for transition in transitions:
             self.replay.add(transition)
 
-    def update(self, batch_size: int, progress: float) -> dict[str, float]:
-        """One gradient step; the agent's metrics. ``progress`` runs from 0 to 1 over the training."""
-        metrics = self.agent.update(self.replay.sample(batch_size, progress))
+    def update(self, batch_size: int, progress: float) -> None:
+        """One gradient step. ``progress`` runs from 0 to 1 over the training."""
+        self.metrics = self.agent.update(self.replay.sample(batch_size, progress))
         self.replay.learned(self.agent.errors)
         self.counters.updates += 1
-        return metrics
 
     @property
     def stored(self) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.learn.returns import Transition
-from uarm_rl.learn.sampling import Sampling, Uniform
+from uarm_rl.learn.sampling import Places, Sampling, Uniform
 
 Array = NDArray[np.float32]
 
@@ -43,7 +43,7 @@ class ReplayBuffer:
     ) -> None:
         checks.integer("buffer.capacity", capacity, low=1, high=10_000_000)
         ends = np.cumsum([observation_size, action_size, 1, observation_size, 1]).tolist()
-        self._fields = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+        self.fields = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
         self.rows = np.zeros((capacity, ends[-1]), np.float32)
         self.added = 0  # transitions ever added; the cursor is its remainder
         self.generator = generator
@@ -64,7 +64,7 @@ class ReplayBuffer:
         row = self.rows[self.added % self.capacity]
         if self.added >= self.capacity:
             self._overwritten.append((row, row.copy()))
-        for field, value in zip(self._fields, transition, strict=True):
+        for field, value in zip(self.fields, transition, strict=True):
             row[field] = value
         self._sampling.added(self.added % self.capacity)
         self.added += 1
@@ -108,13 +108,18 @@ class ReplayBuffer:
 
     def sample(self, batch_size: int, progress: float = 0.0) -> Batch:
         """``batch_size`` transitions. ``progress`` runs from 0 to 1 over the training. Raises ``ValueError`` while empty."""
-        if not len(self):
-            raise ValueError("the replay buffer is empty; store a transition before sampling")
+        drawn, weight = self.draw(batch_size, progress)
         if len(self._sample) != batch_size:
             self._sample = np.empty((batch_size, self.rows.shape[1]), np.float32)
+        np.take(self.rows, drawn, axis=0, out=self._sample, mode="clip")  # "clip" writes into out without a copy
+        return Batch(*(self._sample[:, field] for field in self.fields))._replace(weight=weight)
+
+    def draw(self, batch_size: int, progress: float = 0.0) -> tuple[Places, Array | None]:
+        """The places of a sample alone, shape (batch_size,), and their weights, as of :class:`Batch`."""
+        if not len(self):
+            raise ValueError("the replay buffer is empty; store a transition before sampling")
         self._drawn, weight = self._sampling.draw(len(self), batch_size, progress, self.generator)
-        np.take(self.rows, self._drawn, axis=0, out=self._sample, mode="clip")  # "clip" writes into out without a copy
-        return Batch(*(self._sample[:, field] for field in self._fields))._replace(weight=weight)
+        return self._drawn, weight
 
     def learned(self, errors: Array) -> None:
         """An update has used the last sample; ``errors``, shape (batch_size, 1), are its temporal differences."""

@@ -19,14 +19,14 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from uarm_rl import checks, columns, files, locks, signals
+from uarm_rl import checks, columns, files, locks
 from uarm_rl.csvfile import Logbook
 from uarm_rl.files import CONFIG, HOLDER, LOCK, POLICY, PROGRESS
 from uarm_rl.learn import checkpoint
 from uarm_rl.learn.learner import Counters, Learner
 from uarm_rl.learn.loggers import Write, numbers
-from uarm_rl.learn.train import Schedule, Stop, train
-from uarm_rl.progress import Bar, progress
+from uarm_rl.learn.train import Request, Schedule, Settle, Stop, Training, train
+from uarm_rl.progress import Bar, progress, say
 from uarm_rl.task.policy import Policy
 
 #: An actor with more of its outputs saturated than this has hardly any gradient left to learn from.
@@ -98,21 +98,6 @@ def check_same(run_dir: Path, settings: Settings, before: Settings) -> None:
         )
 
 
-@contextmanager
-def stop_on_signals(stop: Stop, announce: Callable[[str], None]) -> Iterator[None]:
-    """Ctrl-C or another stop asks for one after the decision in hand; a second Ctrl-C interrupts at once."""
-
-    def react(number: int) -> None:
-        if stop.requested and number == signals.STOPS[0]:  # schedulers send several signals, one after the other
-            raise KeyboardInterrupt
-        if not stop.requested:
-            announce("stopping and saving; press Ctrl-C again to leave at once")
-        stop.requested, stop.signal = True, number
-
-    with signals.heard(react):
-        yield
-
-
 def run(
     run_dir: Path,
     learner: Learner,
@@ -122,12 +107,13 @@ def run(
     value_range: tuple[float, float],
     log: AbstractContextManager[Write],
     stop: Stop,
-) -> bool:
-    """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop, by a signal or
-    by whoever has ``stop`` too.
+) -> Training[bool]:
+    """Train in ``run_dir``, from its last checkpoint if it has one. True when finished, false when told to stop by whoever has
+    ``stop`` too.
 
-    ``validate`` tells of one position after the other whether the policy reaches it. ``value_range`` are the lowest and
-    highest return that the task allows: a critic outside it raises a warning. ``log`` is entered to take the rows too.
+    ``validate`` tells of one position after the other whether the policy reaches it; it may have begun when it returns, so
+    others go on before it is asked. ``value_range`` are the lowest and highest return that the task allows: a critic outside it
+    raises a warning. ``log`` is entered to take the rows too.
     """
     counters = learner.counters
     saved = checkpoint.read_latest(run_dir)
@@ -141,13 +127,14 @@ def run(
         stack.callback(logbook.close)
         write = stack.enter_context(log)
         bar = stack.enter_context(progress_bar(run_dir, schedule, counters))
-        stack.enter_context(stop_on_signals(stop, bar.say))
 
-        def end_of_episode(row: dict[str, object]) -> None:
+        def end_of_episode(row: dict[str, object]) -> Iterator[Request]:
             nonlocal snapshot, episode, on_disk
             last = counters.episode == schedule.episodes
             if last or counters.episode % schedule.validate_every == 0:
-                reached = list(takewhile(lambda _: not stop.requested, validate(learner.policy)))
+                outcomes = validate(learner.policy)
+                yield Settle(learner)
+                reached = list(takewhile(lambda _: not stop.requested, outcomes))
                 if stop.requested:
                     return
                 row["validation_success_rate"] = float(np.mean(reached))
@@ -160,7 +147,7 @@ def run(
                 checkpoint.write(run_dir, snapshot())
                 on_disk = episode
 
-        train(learner, schedule, bar.tick, end_of_episode, stop)
+        yield from train(learner, schedule, bar.tick, end_of_episode, stop)
         if episode > on_disk:
             checkpoint.write(run_dir, snapshot())
     if episode < schedule.episodes:
@@ -196,14 +183,11 @@ class _Bar:
     def tick(self) -> None:
         self._bar.tick()
 
-    def say(self, text: str) -> None:
-        self._bar.say(text)
-
     def show(self, row: dict[str, object]) -> None:
         if "validation_success_rate" in row:
             self._validation = f"{row['validation_success_rate']:.0%}"
         if row["warning"] and not self._warning:
-            self.say(f"warning: episode {row['episode']}: {row['warning']}")
+            say(f"warning: episode {row['episode']}: {row['warning']}")
         self._warning = str(row["warning"])
         decisions, wall_s = self._before
         rate = (self._counters.decisions - decisions) / max(1e-9, self._counters.wall_s - wall_s)

@@ -26,10 +26,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from uarm_rl import checks, columns
 from uarm_rl.csvfile import Logbook
 from uarm_rl.files import POLICY, PROGRESS
-from uarm_rl.learn.ddpg import DivergenceError
+from uarm_rl.learn.actor_critic import DivergenceError
 from uarm_rl.learn.learner import Counters
 from uarm_rl.learn.loggers import Write, numbers
-from uarm_rl.learn.run import progress_bar, stop_on_signals
+from uarm_rl.learn.run import progress_bar
 from uarm_rl.learn.sb3 import Hindsight, SoftActorCritic, TwinDelayed, from_sb3
 from uarm_rl.learn.train import Schedule, Stop
 from uarm_rl.task import observation
@@ -160,7 +160,6 @@ def run(
         stack.callback(logbook.close)
         write = stack.enter_context(log)
         bar = stack.enter_context(progress_bar(run_dir, schedule, counters))
-        stack.enter_context(stop_on_signals(stop, bar.say))
 
         def end_of_episode(row: dict[str, object]) -> None:
             if counters.episode == schedule.episodes or counters.episode % schedule.validate_every == 0:
