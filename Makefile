@@ -81,7 +81,7 @@ check: $(VENV)/.installed-dev  ## formatting, lint and types
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-docs: $(VENV)/.installed-docs  ## the documentation and the API, into build/docs/index.html; about a minute
+docs: $(VENV)/.installed-docs  ## the documentation and the API, into build/docs/index.html; some two minutes
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs
 
 bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side; about 10 minutes

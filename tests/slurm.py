@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 COMMANDS = ("sbatch", "srun", "squeue", "scancel", "scontrol")
-BEGUN = "decisions and gradient steps in all"
+BEGUN = "experiences are to be stored"
 LIMIT_S = 120.0  # of a task
 
 

@@ -38,7 +38,7 @@ def main(words: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more on its way out
         raise SystemExit(1) from None
     except KeyboardInterrupt:
-        _fail("interrupted; what was saved before is whole", 130)
+        _fail("interrupted; no file is left half written, and where a command has resume=true it goes on", 130)
     except Exception as error:
         if os.environ.get("UARM_RL_TRACEBACK"):
             raise

@@ -29,12 +29,13 @@ class Bar(tqdm):  # type: ignore[type-arg]  # tqdm's own class cannot be given o
     """A bar on stderr, moved by ``update``."""
 
     silence_s = SILENCE_S
+    _ticked_t = 0.0  # beside ``last_print_t``, from which tqdm has the rate
 
     def tick(self) -> None:
         """Show that time passes where one step takes long."""
         now = time.time()
-        if not self.disable and now - self.last_print_t >= self.silence_s:
-            self.last_print_t = now
+        if not self.disable and now - max(self.last_print_t, self._ticked_t) >= self.silence_s:
+            self._ticked_t = now
             self.refresh()
 
 

@@ -92,7 +92,9 @@ def read_yaml(path: Path) -> Settings:
                 raise UsageError(f"{path} refers to its own parts or is nested too deeply; uarm-rl writes no such file")
         return checks.mapping("it", yaml.safe_load(text))
     except FileNotFoundError:
-        raise UsageError(f"{path.parent} holds no {path.name}; a run is results/NAME/seedN, made by uarm-rl train") from None
+        seeds = sorted(path.parent.glob(f"seed*/{path.name}"))
+        meant = f"did you mean {seeds[0].parent}?" if seeds else "a run is results/NAME/seedN, made by uarm-rl train"
+        raise UsageError(f"{path.parent} holds no {path.name}; {meant}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UsageError(f"{path} is damaged: {' '.join(str(error).split())}") from None
 

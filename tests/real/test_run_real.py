@@ -408,7 +408,9 @@ def test_signals_end_it_with_the_pump_off_and_the_arm_parked(served, tmp_path, n
         os.kill(process.pid, number)
     _, error = process.communicate(timeout=30)
     assert process.returncode in (130, -signal.SIGINT)  # the second may come while Python shuts down
-    assert error.splitlines() == ["error: interrupted; what was saved before is whole"]
+    assert error.splitlines() == [
+        "error: interrupted; no file is left half written, and where a command has resume=true it goes on"
+    ]
     firmware.wait_until_parked()
     said = [line.split(" ", 1)[1] for line in re.sub("[!\x18]", "", firmware.heard.decode()).splitlines() if " " in line]
     assert said[-1].startswith("G2206 B90.000 L118.000 R50.000")

@@ -2,7 +2,7 @@
 
 Examples:
   uarm-rl emulate --speed 20                          prints the ports of arm and camera, runs until Ctrl-C
-  uarm-rl run-real --port PATH                        the trials against it, in another terminal
+  uarm-rl run-real --port PATH --out mine             the trials against it, in another terminal
 """
 
 from __future__ import annotations

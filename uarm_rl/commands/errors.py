@@ -28,7 +28,10 @@ def explain(error: Exception) -> tuple[str, int]:
         return f"a job of the launcher did not end: {' '.join(last) or type(error).__name__}; resume=true continues it", 1
     if isinstance(error, OSError) and error.strerror is not None:
         what = f"{error.filename}: {error.strerror}" if error.filename is not None else error.strerror
-        return f"{what}; check the path, its permissions and the free space", 1
+        remedy = (
+            "check the path" if isinstance(error, FileNotFoundError) else "check the path, its permissions and the free space"
+        )
+        return f"{what}; {remedy}", 1
     if isinstance(error, ModuleNotFoundError) and error.name in _MISSING:
         return f"{error.name} is not installed; {_MISSING[error.name]}", 1
     if isinstance(error, ModuleNotFoundError) and error.name in _ENGINES:

@@ -37,9 +37,9 @@ def run(settings: Settings) -> None:
     resets: list[dict[str, Any]] = [{"seed": first_seed + number} for number in range(episodes)]
     if settings["position"] is not None:
         resets = [{"options": {"object_position": checks.position("position", settings["position"])}}]
+    shows = _shows(settings)
     out = output(settings)
     check_film(out, width, height)
-    shows = _shows(settings)
     control_hz, time_limit_s = shows[0][1]["control_hz"], settings["time_limit_s"]
     pace = checks.integer("pictures_per_second", settings["pictures_per_second"], low=1, high=control_hz)
     if control_hz % pace:

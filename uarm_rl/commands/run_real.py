@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import re
+import shlex
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -88,6 +89,8 @@ def run(settings: Settings) -> None:
     try:
         with ExitStack() as stack:
             stack.enter_context(signals.interrupt_once())
+            if watch and not dry_run:
+                print(f"watch it in another terminal: uarm-rl watch arm={shlex.quote(str(folder))}", flush=True)
             live = None if dry_run or not watch else _live(stack, folder, port, settings, size_m)
             search: Search
             if told is not None:
@@ -132,7 +135,10 @@ def _begun(folder: Path, settings: Settings) -> list[Row]:
     if overwrite or not (folder / session.TRIALS).exists():
         return []
     if not resume:
-        raise UsageError(f"{folder} holds trials already; resume=true goes on with them, out=FOLDER writes elsewhere")
+        raise UsageError(
+            f"{folder} holds trials already; resume=true goes on with them, overwrite=true replaces them, "
+            "out=FOLDER writes elsewhere"
+        )
     before = read_yaml(folder / CONFIG)
     same = {key: value for key, value in settings.items() if key not in _INCIDENTAL}
     if changed := checks.differences({key: before.get(key) for key in same}, same):

@@ -149,7 +149,7 @@ def _training(
         work = _built(settings, stack, pool)  # and so every value is checked, before the folder is touched
         stack.enter_context(session.claim(run_dir, kept, read_run, resume=settings["resume"], overwrite=settings["overwrite"]))
         experiences = settings["episodes"] * settings["experiences_per_episode"]
-        print(f"{run_dir}: {experiences:,} decisions and gradient steps in all")
+        print(f"{run_dir}: {experiences:,} experiences are to be stored")
         log = _heard(build("logger", settings["logger"]).opened(run_dir, flat(kept)), hear)
         finished = yield from work(run_dir, log=log, stop=stop)
     if finished:

@@ -82,7 +82,7 @@ class _Newest:
             self.settings = compose("train", (f"sim={settings['sim']['name']}",) if settings.get("sim") else ())
         else:
             self.settings = in_engine(read_run(self._run_dir), settings.get("sim"))
-        self.name = str(self._run_dir or "inverse kinematics")
+        self.name = str(self._run_dir or "a default task")
         self.words = ""  # which policy it is
         self._policy: Policy | None = None
         self._of: object = None

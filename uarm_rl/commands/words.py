@@ -120,7 +120,8 @@ def check(words: list[str]) -> None:
             _check_hydras(word, launcher(rest))
         name, _, value = word.partition("=")
         if name.strip("/ ").partition("@")[0] in groups() and not re.fullmatch(r"[\w,()\[\]* ]*", value):
-            raise UsageError(f"{word} is no choice of a group; a choice is a name (--help lists them), not a path")
+            hint = "put spaces between settings" if "=" in value else "a choice is a name (--help lists them), not a path"
+            raise UsageError(f"{word} is no choice of a group; {hint}")
 
 
 def _meant(word: str, words: list[str]) -> str:

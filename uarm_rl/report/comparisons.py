@@ -108,11 +108,12 @@ def _parts(paired: list[dict[str, Any]], summed: list[dict[str, Any]]) -> Iterat
             "Only second reaches",
             "p (exact McNemar)",
         )
+        tests = f"{len(paired)} test{'' if len(paired) == 1 else 's'}"
         yield Table(headings, cells)
         yield (
             "Each test compares two trained policies on the same positions; it says nothing about other seeds. "
-            f"The p-values are not corrected: with {len(paired)} tests, {0.05 / len(paired):.2g} each keeps the chance of "
-            "one false alarm at 5 %."
+            f"The p-values are not corrected: with {tests}, {0.05 / len(paired):.2g} each keeps the chance of one false "
+            "alarm at 5 %."
         )
 
 

@@ -38,6 +38,7 @@ _BUFFERS: Final = {
     "learned_hold": _Style("#E69F00", (0, (3, 2)), "X"),
 }
 _MARKERS: Final = ("o", "s", "D", "v", "^", "P", "X")
+_DECADE: Final = 10.0
 _WIDEST_MM: Final = 20.0  # of the tolerances that a curve is drawn for
 _INTERVAL: Final = "bars: 95 % interval"
 _BAND: Final = "line: mean of seeds, band: their range"
@@ -175,7 +176,11 @@ def draw_budgets(
         for method in methods:
             curve = curves[method.folder]
             _draw(axes, method, curve[curve[budget] > 0], budget, rate)  # a run in its warm-up has made no gradient step yet
-        axes.set(xlabel=words, xscale="log")
+        spent = pd.concat([curves[method.folder][budget] for method in methods])
+        wide = (
+            spent.max() > _DECADE * spent[spent > 0].min()
+        )  # short runs: a logarithmic axis would have no room for its numbers
+        axes.set(xlabel=words, xscale="log" if wide else "linear")
         _success_axis(axes, "")
     figure.supylabel("Success on validation positions (%)")
     figure.supxlabel(_BAND)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import pandas as pd
 
 from uarm_rl.report.learning import TRACES_FILE
-from uarm_rl.report.records import METHODS, TRACES, Method, Runs, read, read_config, seed_number
+from uarm_rl.report.records import METHODS, TRACES, Method, Runs, command, read, read_config, seed_number
 from uarm_rl.report.tables import Document, Replay, Section, Stage
 
 if TYPE_CHECKING:
@@ -36,14 +37,15 @@ class _Recorded(NamedTuple):
     object_size_m: float
 
 
-def replays(shown: Sequence[Method], runs: Runs, evaluations: Mapping[str, pd.DataFrame]) -> Section:
+def replays(results_dir: Path, shown: Sequence[Method], runs: Runs, evaluations: Mapping[str, pd.DataFrame]) -> Section:
     """A stage with the recorded tests of the paper's methods in pairs, then of the others; none if nothing was recorded.
 
     Without viser a sentence says what is missing.
     """
     recorded = {method.folder: one for method in shown if (one := _recorded(method, runs, evaluations))}
     if not recorded:
-        return Section(page=Document("Nothing was recorded; uarm-rl evaluate traces=3 records the first positions."))
+        record_them = command(results_dir, "evaluate traces=3")
+        return Section(page=Document(f"Nothing was recorded; {record_them} records the first positions."))
     try:
         from uarm_rl.view.replay import record
     except ModuleNotFoundError as error:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from uarm_rl import files, progress
+from uarm_rl.files import CONFIG
 from uarm_rl.report import tables
 from uarm_rl.report.ablations import ABLATIONS, ablations
 from uarm_rl.report.arm_trials import arm_trials
@@ -36,6 +37,8 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
     :class:`ReportError`, with nothing written, if a file cannot be used. ``usual`` is the configuration that the studies
     in ``ablations/`` change.
     """
+    if (results_dir / CONFIG).exists():
+        raise ReportError(f"{results_dir} is a run; did you mean results_dir={results_dir.parent.parent}, where all runs are?")
     found = find_runs(results_dir)
     if not found and not (results_dir / ABLATIONS).is_dir():
         raise ReportError(f"{results_dir} holds no run; make one with {command(results_dir, 'train')}")
@@ -59,7 +62,7 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
         "Leaning on the object": lambda: leaning(results_dir, shown, runs, evaluations),
         "Two engines": lambda: engines(results_dir, methods(found), runs, evaluations),
         "Why it works: shorter runs": lambda: ablations(results_dir, usual),
-        "Replays": lambda: replays(shown, runs, evaluations),
+        "Replays": lambda: replays(results_dir, shown, runs, evaluations),
         "Trials of the arm": lambda: arm_trials(results_dir),
         "Where the numbers come from": lambda: provenance(results_dir),
     }

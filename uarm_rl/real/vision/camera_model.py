@@ -250,8 +250,8 @@ def _read(path: Path, kind: str) -> dict[str, Any]:
         content = json.loads(path.read_bytes())
     except OSError as error:
         raise CalibrationError(
-            f"the calibration file {path} cannot be read ({error.strerror}); make one with uarm-rl calibrate-camera and "
-            "uarm-rl calibrate-hand-eye, or name another"
+            f"the calibration file {path} cannot be read ({error.strerror}); make one with uarm-rl calibrate-camera"
+            f"{'' if kind == 'intrinsics' else ' and uarm-rl calibrate-hand-eye'}, or name another"
         ) from error
     except ValueError as error:
         raise CalibrationError(f"{path} is damaged or no calibration file ({error}); calibrate again") from error
