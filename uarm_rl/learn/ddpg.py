@@ -52,6 +52,7 @@ class DDPG:
         actor_lr: float,
         critic_lr: float,
         final_layer_init: float,
+        annealing: float,
         action_size: int,
         generator: torch.Generator,
         observation: PaperObservation | None = None,
@@ -62,6 +63,7 @@ class DDPG:
         self.returns = Returns(gamma=gamma, gamma_per=gamma_per, n_steps=n_steps)
         self.tau = checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True)
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
+        self._annealing = checks.number("agent.annealing", annealing, low=0.0, high=1.0)
         actor_sizes = [self.observation.size, *hidden, action_size]
         critic_sizes = [self.observation.size + action_size, *hidden, 1]
         split = Network.size(actor_sizes)
@@ -86,7 +88,7 @@ class DDPG:
     def _adam(self, part: slice, learning_rate: float) -> torch.optim.Adam:
         parameters = self.parameters[part]
         parameters.grad = self._gradient[part]
-        optimizer = torch.optim.Adam([parameters], lr=learning_rate, fused=True)
+        optimizer = torch.optim.Adam([{"params": parameters, "initial_lr": learning_rate}], lr=learning_rate, fused=True)
         optimizer.state[parameters] = {  # as Adam itself would begin; made here so that it can be saved at any time
             "step": torch.zeros(()),
             "exp_avg": torch.zeros_like(parameters),
@@ -99,8 +101,8 @@ class DDPG:
         layers = [(weight.numpy(), bias.numpy()) for weight, bias in self.actor.layers]
         return ActorPolicy(layers, offset=self.observation.offset, scale=self.observation.scale, card=card)
 
-    def update(self, batch: Batch) -> dict[str, float]:
-        """One gradient step of critic and actor, one soft step of the targets.
+    def update(self, batch: Batch, progress: float = 0.0) -> dict[str, float]:
+        """One gradient step of critic and actor, one soft step of the targets. ``progress`` runs from 0 to 1 over the training.
 
         Returns the two losses, the range of Q(s, mu(s)) over the batch, and ``saturation``, the share of the actor's
         outputs so close to -1 or 1 that hardly any gradient comes back through the tanh.
@@ -110,6 +112,10 @@ class DDPG:
         # The moments of weights that no longer learn fade into denormal numbers, which are slow. Elsewhere in this
         # process (in the physics) they keep their meaning, so that it computes what it computes in a process of its own.
         torch.set_flush_denormal(True)
+        if self._annealing:
+            for optimizer in self._optimizers.values():
+                (group,) = optimizer.param_groups
+                group["lr"] = group["initial_lr"] * min(1.0, (1.0 - progress) / self._annealing)
         try:
             with torch.no_grad():
                 return self._update(batch)
