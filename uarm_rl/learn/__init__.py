@@ -3,8 +3,8 @@
 Read ``train.py`` first: the loop, and nothing else. What it is handed is one ``learner.py``, which can be saved and restored:
 
 - ``ddpg.py`` on ``network.py``: the agent, and the networks with their backward pass written out
-- ``replay.py``, ``admission.py``, ``returns.py``, ``sampling.py``, ``noise.py``: what is stored, what may enter, what it says
-  of the future, what is drawn, and exploration
+- ``replay.py``, ``admission.py``, ``returns.py``, ``hindsight.py``, ``sampling.py``, ``noise.py``: what is stored,
+  what may enter, what it says of the future and of other targets, what is drawn, and exploration
 - ``async_env.py``: the environment whose step is in two halves, here or in a process of its own
 
 ``sb3.py`` has other learners, Stable-Baselines3's, and makes policies of them; ``sb3_training.py`` trains these.
