@@ -9,7 +9,9 @@ export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo paper ablations leaning engines test check docs bench torture clean
 
-demo: $(VENV)/.installed  ## train method C for a short budget, test it on the 100 positions, write the report
+demo: $(VENV)/.installed  ## an arm trained in about a minute; then method C for a short budget, tests on the 100 positions, the report
+	$(BIN)/uarm-rl train experiment=fast results_dir=demo resume=true
+	$(BIN)/uarm-rl evaluate results_dir=demo
 	$(BIN)/uarm-rl train experiment=C episodes=$(DEMO_EPISODES) results_dir=demo resume=true
 	$(BIN)/uarm-rl evaluate results_dir=demo
 	$(BIN)/uarm-rl evaluate policy=ik results_dir=demo

@@ -19,6 +19,7 @@ SETTINGS = {
     "actor_lr": 1e-3,
     "critic_lr": 1e-3,
     "final_layer_init": 0.1,
+    "annealing": 0.0,
 }
 
 
@@ -115,6 +116,17 @@ def test_updates_are_those_of_the_textbook(final_layer_init):
         flat = torch.cat([tensor.flatten() for layer in getattr(ours, name).layers for tensor in layer])
         expected = torch.cat([tensor.detach().flatten() for tensor in tensors])
         assert torch.allclose(flat, expected, atol=2e-5), name
+
+
+def test_steps_shorten_towards_the_end_where_that_is_asked_for():
+    steady, annealed = agent(), agent(annealing=0.5)
+    for progress, same in ((0.0, True), (0.5, True), (0.75, False)):
+        for one in (steady, annealed):
+            one.update(batch(), progress)
+        assert torch.equal(steady.parameters, annealed.parameters) == same
+    before = annealed.parameters.clone()
+    annealed.update(batch(), 1.0)
+    assert torch.equal(annealed.parameters, before)
 
 
 def test_networks_begin_as_in_the_ddpg_paper():

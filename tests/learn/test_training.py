@@ -118,8 +118,9 @@ PRIORITIZED = ("sampling@buffer.sampling=prioritized", "agent.n_steps=3", "buffe
         ("buffer=adaptive",),
         ("buffer=every_step", *PRIORITIZED),
         ("buffer=learned_hold", "observation=stack", "actions=reference"),
+        ("buffer=adaptive", "hindsight_targets=3", "agent.annealing=0.5"),
     ],
-    ids=["uniform", "adaptive", "prioritized", "learned"],
+    ids=["uniform", "adaptive", "prioritized", "learned", "hindsight"],
 )
 def test_an_interrupted_and_resumed_run_ends_as_an_uninterrupted_one(tmp_path, monkeypatch, method, capsys):
     whole = outcome(train(tmp_path / "whole", *method))

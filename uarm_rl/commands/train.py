@@ -31,6 +31,7 @@ from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import driver
 from uarm_rl.learn import run as session
 from uarm_rl.learn.async_env import InlineEnv, SubprocessEnv
+from uarm_rl.learn.hindsight import Hindsight
 from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.loggers import Logger, Write
 from uarm_rl.learn.replay import ReplayBuffer
@@ -243,6 +244,8 @@ def _library(settings: Settings, schedule: Schedule, stack: ExitStack) -> Callab
         raise UsageError(f"agent={name} learns on the processor; leave device={settings['device']} out, or take agent=ddpg")
     if settings["observation"]["name"] != "paper" or settings["buffer"]["hold"]["name"] == "learned":
         raise UsageError(f"agent={name} learns with observation=paper and without hold=learned; take agent=ddpg for the others")
+    if settings["hindsight_targets"]:
+        raise UsageError(f"agent={name} has no hindsight_targets; take agent=ddpg, or sb3_her with its own")
     from uarm_rl.learn import sb3_training
 
     sb3_training.check_settings(settings["buffer"], name)
@@ -273,6 +276,8 @@ def _learner(settings: Settings) -> Learner:
     env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
     networks = torch.Generator().manual_seed(network_seed)
     observation = build("observation", settings["observation"])
+    _check_hindsight(settings)
+    draws = np.random.default_rng(seeds[2])  # of the buffer, and of the targets that are made up for it
     action_size = ACTION_SIZE + build("hold", settings["buffer"]["hold"]).choices
     agent = build("agent", settings["agent"], action_size=action_size, generator=networks, observation=observation)
     admission = build("admission", settings["buffer"]["admission"])
@@ -283,7 +288,7 @@ def _learner(settings: Settings) -> Learner:
             settings["buffer"]["capacity"],
             observation_size=observation.size,
             action_size=action_size,
-            generator=np.random.default_rng(seeds[2]),
+            generator=draws,
             sampling=build("sampling", settings["buffer"]["sampling"]),
         ),
         noise=build("noise", settings["noise"], action_size=action_size, generator=np.random.default_rng(seeds[3])),
@@ -291,4 +296,16 @@ def _learner(settings: Settings) -> Learner:
         agent=agent,
         policy=agent.policy(policy_card(settings)),
         env=env_class(make_env, env_seed),
+        hindsight=Hindsight(
+            targets=settings["hindsight_targets"],
+            reward=build("reward", settings["reward"]),
+            object_height_m=settings["sim"]["object_size_m"],
+            generator=draws,
+        ),
     )
+
+
+def _check_hindsight(settings: Settings) -> None:
+    """Raises :class:`UsageError` where a decision does not hold what another target would have made of it."""
+    if settings["hindsight_targets"] and (settings["observation"]["name"] == "stack" or settings["reward"]["pressing"]):
+        raise UsageError("hindsight_targets needs an observation of one moment, not stack, and a reward without pressing")

@@ -5,8 +5,8 @@ Read ``train.py`` first: the loop, and nothing else; ``driver.py`` drives one of
 
 - ``ddpg.py`` on ``actor_critic.py`` and ``network.py``: the agent, its gradient step, and the networks with their backward pass
   written out
-- ``replay.py``, ``admission.py``, ``returns.py``, ``sampling.py``, ``noise.py``: what is stored, what may enter, what it says
-  of the future, what is drawn, and exploration
+- ``replay.py``, ``admission.py``, ``returns.py``, ``hindsight.py``, ``sampling.py``, ``noise.py``: what is stored,
+  what may enter, what it says of the future and of other targets, what is drawn, and exploration
 - ``async_env.py``: the environment whose step is in two halves, here or in a process of its own
 
 ``sb3.py`` has other learners, Stable-Baselines3's, and makes policies of them; ``sb3_training.py`` trains these.

@@ -28,11 +28,15 @@ class DivergenceError(ArithmeticError):
 
 
 class Rates(NamedTuple):
-    """How fast an agent learns: the share of each soft step of its targets, and the step sizes of Adam."""
+    """How fast an agent learns: the share of each soft step of its targets, and the step sizes of Adam.
+
+    Over the last part ``annealing`` of the training, a share of it, both step sizes fall linearly to nothing.
+    """
 
     tau: float
     actor_lr: float
     critic_lr: float
+    annealing: float = 0.0
 
 
 class Tensors(NamedTuple):
@@ -89,11 +93,26 @@ class ActorCritic:
         )
         self.resting = torch.zeros(lead, device=device)
         self._tau = torch.tensor([one.tau for one in each], device=device) if lead else each[0].tau
+        self._each = each
+        held = partial(torch.tensor, device=device, dtype=torch.float64 if device == "cpu" else torch.float32)  # as Adam has it
+        self._step_sizes = {  # those that change are held where a graph that was recorded finds them
+            name: [held(size) if one.annealing else size for one, size in zip(each, usual, strict=True)]
+            for name, usual in (("actor", [one.actor_lr for one in each]), ("critic", [one.critic_lr for one in each]))
+        }
         self._descents = {
-            name: [self._adam(name, row, one) for row, one in zip(np.ndindex(lead), each, strict=True)] for name in self._parts
+            name: [self._adam(name, row, size) for row, size in zip(np.ndindex(lead), step_sizes, strict=True)]
+            for name, step_sizes in self._step_sizes.items()
         }
 
-    def _adam(self, name: str, row: tuple[int, ...], rates: Rates) -> partial[None]:
+    def anneal(self, number: int, progress: float) -> None:
+        """Give an agent the step sizes that it has after ``progress`` of its training, from 0 to 1."""
+        rates = self._each[number]
+        for name, usual in (("actor", rates.actor_lr), ("critic", rates.critic_lr)):
+            step_size = self._step_sizes[name][number]
+            if isinstance(step_size, Tensor):
+                step_size.fill_(usual * min(1.0, (1.0 - progress) / rates.annealing))
+
+    def _adam(self, name: str, row: tuple[int, ...], step_size: Tensor | float) -> partial[None]:
         """A step of Adam (Kingma and Ba 2015) for one network of one agent, to be called without arguments."""
         vectors = (self.parameters, self._gradient, self._exp_avg, self._exp_avg_sq)
         parameters, gradient, exp_avg, exp_avg_sq = ([vector[row][self._parts[name]]] for vector in vectors)
@@ -110,7 +129,7 @@ class ActorCritic:
             amsgrad=False,
             beta1=0.9,
             beta2=0.999,
-            lr=rates.actor_lr if name == "actor" else rates.critic_lr,
+            lr=step_size,
             weight_decay=0.0,
             eps=1e-8,
             maximize=False,

@@ -39,6 +39,7 @@ class DDPG(ActorCritic):
         actor_lr: float,
         critic_lr: float,
         final_layer_init: float,
+        annealing: float,
         action_size: int,
         generator: torch.Generator,
         observation: PaperObservation | None = None,
@@ -51,6 +52,7 @@ class DDPG(ActorCritic):
             tau=checks.number("agent.tau", tau, low=0.0, high=1.0, open_low=True),
             actor_lr=checks.number("agent.actor_lr", actor_lr, low=0.0, high=1.0, open_low=True),
             critic_lr=checks.number("agent.critic_lr", critic_lr, low=0.0, high=1.0, open_low=True),
+            annealing=checks.number("agent.annealing", annealing, low=0.0, high=1.0),
         )
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
         seen = self.observation.size
@@ -69,12 +71,15 @@ class DDPG(ActorCritic):
         layers = [(weight.numpy(), bias.numpy()) for weight, bias in self.actor.layers]
         return ActorPolicy(layers, offset=self.observation.offset, scale=self.observation.scale, card=card)
 
-    def update(self, batch: Batch) -> dict[str, float]:
+    def update(self, batch: Batch, progress: float = 0.0) -> dict[str, float]:
         """One gradient step of critic and actor, one soft step of the targets; the metrics by name.
+
+        ``progress`` runs from 0 to 1 over the training.
 
         Raises :class:`DivergenceError` when a loss is not finite, as it is in the update after a weight became so.
         """
         given = Tensors(*(None if field is None else torch.from_numpy(field) for field in batch))  # type: ignore[arg-type]
+        self.anneal(0, progress)
         errors, metrics = self.learn(given)
         self.errors = errors.numpy()
         self.check(metrics, {f"the batch's {name}": field for name, field in given._asdict().items()})

@@ -15,6 +15,7 @@ from uarm_rl.learn.admission import Admission
 from uarm_rl.learn.async_env import AsyncEnv, Step
 from uarm_rl.learn.checkpoint import Checkpoint, CheckpointError
 from uarm_rl.learn.ddpg import DDPG
+from uarm_rl.learn.hindsight import Hindsight, touched
 from uarm_rl.learn.noise import OrnsteinUhlenbeck
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.returns import Transition
@@ -57,11 +58,15 @@ class Learner:
     replay: ReplayBuffer
     admission: Admission
     noise: OrnsteinUhlenbeck
+    hindsight: Hindsight | None = None
     counters: Counters = field(default_factory=Counters)
     metrics: dict[str, float] = field(default_factory=dict)
 
     def take(self, observation: Array, action: Array, step: Step) -> None:
-        """Take in what came of a decision: it counts as an experience if it may enter, and then its control steps enter too."""
+        """Take in what came of a decision: it counts as an experience if it may enter, and then its control steps enter too.
+
+        So does what it says of other targets, if nothing was touched in it.
+        """
         next_observation, reward, terminated, truncated, info = step
         returns = self.agent.returns
         if not info["exploded"] and self.admission.admits(info["clipped"], info["travel_rad"]):
@@ -80,6 +85,9 @@ class Learner:
                     )
                 )
             )
+            if self.hindsight and not terminated and not touched(info):
+                free = Transition(observation, action, reward, next_observation, returns.discount(info["control_steps"]))
+                self._store(self.hindsight.of(free))
             self.counters.experiences += 1
         else:
             self.end_chain()
@@ -96,7 +104,7 @@ class Learner:
 
     def update(self, batch_size: int, progress: float) -> None:
         """One gradient step. ``progress`` runs from 0 to 1 over the training."""
-        self.metrics = self.agent.update(self.replay.sample(batch_size, progress))
+        self.metrics = self.agent.update(self.replay.sample(batch_size, progress), progress)
         self.replay.learned(self.agent.errors)
         self.counters.updates += 1
 

@@ -93,6 +93,7 @@ class Stack(ActorCritic):
                 by_priority.append(number)
                 weight[number] = torch.from_numpy(weights)
             resting[number] = 0.0
+            self.anneal(number, how_far)
         self._follow(progress)
         for there, here in ((self._drawn, drawn), (self._weight, weight), (self.resting, resting)):
             there.copy_(here)

@@ -41,6 +41,7 @@ SCALE: Final[NDArray[np.float32]] = np.array(
 CUP: Final = slice(9, 12)
 CUP_TO_OBJECT: Final = slice(12, 15)
 JOINTS: Final = slice(15, 18)
+FLAG: Final = 19
 
 
 def observe(
