@@ -103,6 +103,11 @@ def _outcome(success: Any, time_s: Any) -> tuple[float, float]:
 
 
 def _trained_runs(results_dir: Path) -> list[Path]:
+    if not results_dir.is_dir():
+        raise UsageError(
+            f"{results_dir} is not a folder; name one with results_dir=PATH or make one with `uarm-rl train "
+            f"results_dir={shlex.quote(str(results_dir))}`"
+        )
     trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
     begun = [path.parent for path in results_dir.glob(f"*/seed*/{CONFIG}") if path.parent not in trained]
     if not trained and begun:

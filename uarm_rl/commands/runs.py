@@ -35,7 +35,10 @@ def run(settings: Settings) -> None:
     found = inventory(results_dir)
     chosen = [one for one in found if _is_wanted(one, settings)]
     if not chosen:
-        of = f"none of its {len(found)} is what was asked for" if found else "uarm-rl train makes one"
+        of = "uarm-rl train makes one"
+        if found:
+            methods = ", ".join(dict.fromkeys(one.method for one in found if one.method))
+            of = f"none of its {len(found)} is what was asked for; the methods there are {methods}"
         print(f"{results_dir} holds no such run; {of}")
         return
     print(tables.aligned(_HEADINGS, [list(map(printable, cells)) for cells in _rows(chosen)], left=4))

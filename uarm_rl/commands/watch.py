@@ -173,7 +173,9 @@ def _try_position(
             one.show(scene, state[6:9])
             distance_mm = 1000.0 * math.dist(state[3:6], state[6:9])
             at_end = "" if success is None or state is not states[-1] else "**reached**" if success else "**not reached**"
-            one.say("\n\n".join([words[0], f"{passed / control_hz:.2f} s, {distance_mm:.1f} mm {at_end}", words[1]]))
+            one.say(
+                "\n\n".join([words[0], f"{passed / control_hz:.2f} s, {distance_mm:.1f} mm from the target {at_end}", words[1]])
+            )
             passed += 1
             if not one.wait(1.0 / control_hz) or one.skips():
                 return False

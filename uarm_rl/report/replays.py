@@ -22,9 +22,10 @@ _GROUPS: Final = 8
 _STEPS: Final = 2000  # control steps of an episode
 _STEP_S: Final = 0.05  # of traces that do not tell
 _WORDS: Final = (
-    "The arm as the simulation had it, control step by control step: of each method the lowest seed, side by side on the same "
-    "test position. The line is the way of the cup's tip, the red box the object, the dark mark on it the target. Drag turns "
-    "the view, the wheel comes nearer, the bar below is the time in seconds."
+    "The arm as the simulation had it, control step by control step: of each method the lowest seed, two side by side "
+    "where both were recorded, first the test position that takes longest. The line is the way of the cup's tip, the red "
+    "box the object, the dark mark on it the target. Drag turns the view, the wheel comes nearer, the bar below is the "
+    "time in seconds."
 )
 
 
