@@ -190,7 +190,7 @@ def test_who_leans_on_the_object(tmp_path):
     assert cells[2].endswith("| 2.0, 3.0, 3.0 | 4.0, 6.0 | 0.5, 0.5, 0.5 |")
     assert cells[3].endswith("| 12.0, 12.0, 12.0 | 24.0, 24.0 | - |")
     assert cells[4].endswith("| 7.2, 7.2, 7.2 |")
-    assert "ghost.csv (2 of 3 runs)" in remarks(text, "leaning, missing")[0]
+    assert "ghost.csv (2 of 3 runs)" in remarks(text, "leaning on what is not solid or gives, missing")[0]
     assert lines(tmp_path, "table1.csv")[0].endswith(",press_m,contact_n")
     assert lines(tmp_path, "table1.csv")[1].endswith(",0.002,0.5")
     assert lines(tmp_path, "table1.csv")[2].endswith(",,")

@@ -42,10 +42,10 @@ def _examine(settings: Settings) -> Iterator[Finding]:
     except PortError as error:
         yield Finding("problem", "arm", str(error))
     else:
-        yield Finding("ok", "arm", f"opening {name}, which restarts the controller: the arm may sag for a moment")
+        yield Finding("note", "arm", f"opening {name}, which restarts the controller: the arm may sag for a moment")
         yield from doctor.arm(name)
     if settings["camera"]["name"] == "none":
-        yield Finding("ok", "camera", "none wanted: run-real needs --target X Y Z")
+        yield Finding("note", "camera", "none wanted: run-real needs --target X Y Z")
     else:
         findings, picture = doctor.camera(partial(open_camera, settings))
         yield from findings

@@ -176,7 +176,7 @@ class _Bar:
     def __init__(self, bar: Bar, counters: Counters) -> None:
         self._bar = bar
         self._before = (counters.decisions, counters.wall_s)
-        self._validation = "-"
+        self._validation = "not validated yet"
         self._warning = ""
         self._counters = counters
 
@@ -185,7 +185,7 @@ class _Bar:
 
     def show(self, row: dict[str, object]) -> None:
         if "validation_success_rate" in row:
-            self._validation = f"{row['validation_success_rate']:.0%}"
+            self._validation = f"success {row['validation_success_rate']:.0%}"
         if row["warning"] and not self._warning:
             say(f"warning: episode {row['episode']}: {row['warning']}")
         self._warning = str(row["warning"])
@@ -193,7 +193,7 @@ class _Bar:
         rate = (self._counters.decisions - decisions) / max(1e-9, self._counters.wall_s - wall_s)
         alarm = ", WARNING" if self._warning else ""
         self._bar.set_postfix_str(
-            f"success {self._validation}, admitted {row['admission_rate']:.0%}, {rate:.0f} decisions/s{alarm}",
+            f"{self._validation}, admitted {row['admission_rate']:.0%}, {rate:.0f} decisions/s{alarm}",
             refresh=False,
         )
         self._bar.update()

@@ -29,7 +29,7 @@ _OLD_DAYS: Final = 90
 class Finding(NamedTuple):
     """One thing that was looked at."""
 
-    state: Literal["ok", "warning", "problem"]
+    state: Literal["ok", "note", "warning", "problem"]
     what: str
     words: str
 
@@ -46,7 +46,7 @@ def ports(present: Iterable[Any] | None = None) -> Iterator[Finding]:
         device = device_at(port)
         name = device.name if device else "something else"
         if device is None or os.access(port.device, os.R_OK | os.W_OK):
-            yield Finding("ok", "ports", f"{port.device} is {name}")
+            yield Finding("ok" if device else "note", "ports", f"{port.device} is {name}")
         else:
             yield Finding(
                 "problem",

@@ -105,5 +105,5 @@ def _missing(results_dir: Path, runs: Runs) -> list[str]:
     for file, options in _TESTS.items():
         if which := lacking(runs, file):
             made = command(results_dir, f"evaluate {options} out={file}")
-            return [f"leaning, missing: {file} ({which}); {made} makes it"]
+            return [f"leaning on what is not solid or gives, missing: {file} ({which}); {made} makes it"]
     return []
