@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from tests.commands.test_cli import assert_refused
 from tests.conftest import FAST, uarm_rl
+
+RUN = Path(__file__).parents[2] / "results" / "adaptive-plain" / "seed0"
 
 QUICK = (*FAST, "episodes=1", "simulate_beside=false")
 
@@ -29,8 +32,9 @@ QUICK = (*FAST, "episodes=1", "simulate_beside=false")
         (["train", "sim.gui=true", *QUICK], ["needs a screen"]),
         (["render", "run=x", "position=abc"], ["position must be three numbers"]),
         (["render", "run=x", "width=100000"], ["width must be a whole number from 64 to 4096"]),
-        (["render", "run=x", "out=films/a.gif"], ["there is no folder films"]),
-        (["render", "run=x", "out=a.mp4", "width=321"], ["even width and height"]),
+        (["render", "run=x"], ["there is no run folder x; a run is results/NAME/seedN"]),
+        (["render", f"run={RUN}", "out=films/a.gif"], ["there is no folder films"]),
+        (["render", f"run={RUN}", "out=a.mp4", "width=321"], ["even width and height"]),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_is_done(tmp_path, monkeypatch, words, parts):
