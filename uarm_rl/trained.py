@@ -68,7 +68,7 @@ def read_run(run_dir: Path) -> Settings:
     settings["sim"].setdefault("name", "pybullet")  # the only engine that older versions had
     names = {group: value.get("name") for group, value in settings.items() if isinstance(value, Mapping)}
     chosen = tuple(f"{group}={name}" for group, name in sorted(names.items()) if name in choices(group))
-    return _merged(_defaults(chosen), settings)
+    return merged(_defaults(chosen), settings)
 
 
 def in_engine(settings: Settings, sim: Mapping[str, Any] | None) -> Settings:
@@ -104,9 +104,9 @@ def _defaults(chosen: tuple[str, ...]) -> Settings:
     return compose("train", chosen)
 
 
-def _merged(defaults: Settings, settings: Settings) -> Settings:
+def merged(defaults: Settings, settings: Settings) -> Settings:
     """``settings`` over ``defaults``; a group of another name is taken as it is, since its keys are others."""
-    merged = defaults | settings
+    result = defaults | settings
     for key, value in settings.items():
         default = defaults.get(key)
         if (
@@ -114,8 +114,8 @@ def _merged(defaults: Settings, settings: Settings) -> Settings:
             and isinstance(default, dict)
             and value.get("name", default.get("name")) == default.get("name")
         ):
-            merged[key] = _merged(default, value)
-    return merged
+            result[key] = merged(default, value)
+    return result
 
 
 def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:

@@ -4,34 +4,18 @@ from __future__ import annotations
 
 import csv
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
 
-from tests.commands.test_multirun import SWEEP, TINY, TOLD, told
-from uarm_rl import cli
+from tests.commands.test_multirun import SWEEP, TINY, TOLD, run
 from uarm_rl.learn import checkpoint
+
+__all__ = ["run"]  # the fixture
 
 RUNS = ("agent.n_steps=2", "episodes=3", "checkpoint_every=2", "buffer.capacity=45", *TINY)
 RUNS = tuple(word for word in RUNS if word != "episodes=1")
-
-
-@pytest.fixture
-def run(tmp_path, monkeypatch, capsys) -> Callable[..., tuple[int, str]]:
-    """A command in this process: exit code and what it said on stderr, progress aside."""
-    monkeypatch.chdir(tmp_path)
-
-    def command(*words: str) -> tuple[int, str]:
-        try:
-            cli.main(words)
-            code = 0
-        except SystemExit as end:
-            code = int(end.code or 0)
-        return code, told(capsys.readouterr().err)
-
-    return command
 
 
 def outcome(folder: Path) -> tuple[bytes, list[dict[str, str]]]:

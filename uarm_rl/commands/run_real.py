@@ -49,7 +49,7 @@ from uarm_rl.real.trials import GivenTarget, ObjectNotFoundError, RandomTargets,
 from uarm_rl.report.statistics import wilson_interval
 from uarm_rl.task import kinematics
 from uarm_rl.task.policy import InverseKinematicsPolicy, Policy, PolicyCard
-from uarm_rl.trained import policy_card, read_yaml
+from uarm_rl.trained import merged, policy_card, read_yaml
 
 log = logging.getLogger(__name__)
 
@@ -89,9 +89,7 @@ def run(settings: Settings) -> None:
     try:
         with ExitStack() as stack:
             stack.enter_context(signals.interrupt_once())
-            if watch and not dry_run:
-                print(f"watch it in another terminal: uarm-rl watch arm={shlex.quote(str(folder))}", flush=True)
-            live = None if dry_run or not watch else _live(stack, folder, port, settings, size_m)
+            live = _live(stack, folder, port, settings, size_m) if watch and not dry_run else None
             search: Search
             if told is not None:
                 search = GivenTarget(told)
@@ -139,7 +137,7 @@ def _begun(folder: Path, settings: Settings) -> list[Row]:
             f"{folder} holds trials already; resume=true goes on with them, overwrite=true replaces them, "
             "out=FOLDER writes elsewhere"
         )
-    before = read_yaml(folder / CONFIG)
+    before = merged(compose("run-real"), read_yaml(folder / CONFIG))  # it may be older than a setting
     same = {key: value for key, value in settings.items() if key not in _INCIDENTAL}
     if changed := checks.differences({key: before.get(key) for key in same}, same):
         raise UsageError(
@@ -167,6 +165,7 @@ def _live(stack: ExitStack, folder: Path, port: str | None, settings: Settings, 
         from uarm_rl.real.vision.camera import png
 
         encode = png
+    print(f"watch it in another terminal: uarm-rl watch arm={shlex.quote(str(folder))}", flush=True)
     emulated = port is not None and is_emulated(port)
     return stack.enter_context(LiveFile(folder, emulated=emulated, object_size_m=size_m, encode=encode))
 
