@@ -26,6 +26,8 @@ html_theme = "furo"
 html_title = "uarm-rl"
 html_theme_options = {"source_directory": "docs/"}
 html_show_sphinx = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 
 # A page for each module, written anew with every build.
 apidoc_modules = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -140,6 +141,21 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     known = list(known)
     near = [one for one in known if one.lower() == word.lower()] or difflib.get_close_matches(word, known, n=1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+def command(results_dir: Path, words: str) -> str:
+    """A command of this program for these results, as a user can paste it."""
+    where = "" if results_dir == Path("results") else f" results_dir={shlex.quote(str(results_dir))}"
+    return f"`uarm-rl {words}{where}`"
+
+
+def results_folder(results_dir: Path) -> Path:
+    """``results_dir`` if it is a folder; :class:`UsageError` with a sentence otherwise."""
+    if not results_dir.is_dir():
+        raise UsageError(
+            f"{results_dir} is not a folder; name one with results_dir=PATH or make one with {command(results_dir, 'train')}"
+        )
+    return results_dir
 
 
 def how_to_add(extra: str) -> str:

@@ -241,9 +241,10 @@ def test_the_whole_configuration_can_be_seen(tmp_path):
         (["evaluate"], 2, ["results is not a folder", "uarm-rl train"]),
         (["evaluate", "run=nowhere"], 2, ["there is no run folder nowhere"]),
         (["evaluate", "policy=magic"], 2, ["results is not a folder"]),
-        (["evaluate", "policy=ik", "positions=none.csv", "out=x.csv"], 1, ["none.csv", "No such file"]),
-        (["report"], 1, ["results"]),
-        (["report", "results_dir=nowhere"], 1, ["nowhere"]),
+        (["evaluate", "policy=ik", "positions=none.csv", "out=x.csv"], 2, ["there is no file none.csv", "test, validation"]),
+        (["report"], 2, ["results is not a folder"]),
+        (["report", "results_dir=nowhere"], 2, ["nowhere is not a folder", "uarm-rl train results_dir=nowhere"]),
+        (["report", "results_dir=."], 2, [". holds no run"]),
         (["render"], 2, ["run=VALUE is needed"]),
     ],
 )
@@ -303,4 +304,4 @@ def test_signs_that_hydra_cannot_read_are_quoted_for_it(tmp_path):
     done = uarm_rl("train", "--cfg", "job", "name=Ü#-${buffer.name}", cwd=tmp_path)
     assert "name: Ü#-adaptive\n" in done.stdout, done.stderr
     done = uarm_rl("report", "results_dir=größen & maße", cwd=tmp_path)
-    assert_refused(done, 1, "größen & maße")
+    assert_refused(done, 2, "größen & maße")

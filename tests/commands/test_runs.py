@@ -72,6 +72,8 @@ def test_runs_are_listed_in_their_states(results, listed):
     assert listed("state=training")[0][0][0].startswith("results holds no such run; none of its 8 is what was asked for")
     assert listed("name=inner/*") == listed("engine=mujoco") == ([MINE], [])
     assert listed("method=A") == listed("name=*-plain", "state=evaluated") == ([EVALUATED], [])
+    assert listed("method=penalty", "state=evaluated") == ([MINE], [])
+    assert listed("method=inner/mine")[0][0][0].endswith("inner/mine is a name and no method: name=inner/mine")
 
 
 def test_what_is_stale_is_said(results, listed):

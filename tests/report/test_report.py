@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from uarm_rl.checks import UsageError
 from uarm_rl.report.records import ReportError
 from uarm_rl.report.report import report
 from uarm_rl.report.statistics import wilson_interval
@@ -284,9 +285,9 @@ def test_a_bad_file_is_named_in_a_sentence_and_nothing_is_written(tmp_path, dama
 
 
 def test_a_folder_without_runs_says_what_to_do(tmp_path):
-    with pytest.raises(ReportError, match="holds no run; make one with `uarm-rl train results_dir="):
+    with pytest.raises(UsageError, match="holds no run; make one with `uarm-rl train results_dir="):
         report(tmp_path, {})
-    with pytest.raises(ReportError, match="nowhere is not a folder; name one with results_dir=PATH"):
+    with pytest.raises(UsageError, match="nowhere is not a folder; name one with results_dir=PATH"):
         report(tmp_path / "nowhere", {})
     assert list(tmp_path.iterdir()) == []
 

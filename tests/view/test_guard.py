@@ -47,7 +47,7 @@ def test_the_whole_address_opens_the_page_and_its_socket(guarded):
     _, place = guarded
     for words in ({}, {"Origin": f"http://{place.netloc}"}, {"Host": f"localhost:{place.port}"}):
         response, body = answer(place, **words)
-        assert (response.status, b"<html" in body) == (200, True)
+        assert (response.status, b"<html" in body, b"<title>test</title>" in body) == (200, True, True)
         assert response.headers["Referrer-Policy"] == "no-referrer"
         assert response.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
         assert answer(place, place.path.rstrip("/"), **words, **UPGRADE)[0].status == 101
@@ -98,6 +98,17 @@ def test_nothing_listens_but_on_loopback(guarded):
         pytest.skip("this machine has no address but loopback's")
     with pytest.raises(OSError, match=r"refused|timed out|unreachable"):
         socket.create_connection((own, place.port), timeout=2).close()
+
+
+def test_the_page_is_dark_where_the_browser_says_so(guarded):
+    server, place = guarded
+    for scheme in ("dark", "light"):
+        assert answer(place, f"{place.path}{scheme}")[0].status == 204
+        (theme,) = [
+            one for one in server._websock_server._broadcast_buffer.message_from_id.values() if hasattr(one, "dark_mode")
+        ]
+        assert theme.dark_mode == (scheme == "dark")
+    assert answer(place, "/dark")[0].status == 403
 
 
 def test_the_page_can_open_no_tunnel(guarded):

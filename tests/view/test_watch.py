@@ -130,15 +130,18 @@ def test_in_a_browser_the_arm_is_seen_and_ctrl_c_ends_it(tmp_path):
         browser() as one,
     ):
         address = process.stdout.readline().strip()
-        one.open(address, width=640, height=480)
+        one.open(address, width=640, height=480, dark=True)
         for _ in range(100):
-            if "trials over: 2" in (said := one.value("document.body.innerText")):
+            said, scheme = one.value("[document.body.innerText, document.documentElement.dataset.mantineColorScheme]")
+            if "trials over: 2" in said and scheme == "dark":
                 break
             one.wait(0.1)
+        title = one.value("document.title")
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=30)
     assert "pump holding" in said
     assert "trials over: 2" in said
+    assert (title, scheme) == ("uarm-rl: real", "dark")
     assert not one.problems
     assert all(request.startswith((address, "data:", "blob:")) for request in one.requests)
     assert (process.returncode, error) == (0, "")

@@ -13,7 +13,6 @@ Examples:
 from __future__ import annotations
 
 import logging
-import shlex
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -103,19 +102,14 @@ def _outcome(success: Any, time_s: Any) -> tuple[float, float]:
 
 
 def _trained_runs(results_dir: Path) -> list[Path]:
-    if not results_dir.is_dir():
-        raise UsageError(
-            f"{results_dir} is not a folder; name one with results_dir=PATH or make one with `uarm-rl train "
-            f"results_dir={shlex.quote(str(results_dir))}`"
-        )
-    trained = sorted(path.parent for path in results_dir.glob(f"*/seed*/{POLICY}"))
+    trained = sorted(path.parent for path in checks.results_folder(results_dir).glob(f"*/seed*/{POLICY}"))
     begun = [path.parent for path in results_dir.glob(f"*/seed*/{CONFIG}") if path.parent not in trained]
     if not trained and begun:
         raise UsageError(f"{begun[0]} is not trained to its end; the line that began it, with resume=true, goes on with it")
     if not trained:
         raise UsageError(
-            f"{results_dir} holds no trained run; make one with `uarm-rl train results_dir={shlex.quote(str(results_dir))}`, "
-            "or name another folder: results_dir=DIR"
+            f"{results_dir} holds no trained run; make one with {checks.command(results_dir, 'train')}, or name another "
+            "folder: results_dir=DIR"
         )
     return trained
 

@@ -23,7 +23,7 @@ from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build_env
 from uarm_rl.evaluation.film import Screen, Take, check_film, film, head_height, play, takes_of, write_film
 from uarm_rl.sim.simulated_arm import CAMERA, Camera, SimulatedArm
-from uarm_rl.task import kinematics
+from uarm_rl.task import kinematics, positions
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.trained import in_engine, load_policy, read_run
 
@@ -36,7 +36,8 @@ def run(settings: Settings) -> None:
     first_seed = checks.integer("seed", settings["seed"], low=0)
     resets: list[dict[str, Any]] = [{"seed": first_seed + number} for number in range(episodes)]
     if settings["position"] is not None:
-        resets = [{"options": {"object_position": checks.position("position", settings["position"])}}]
+        position = positions.within_reach("position", checks.position("position", settings["position"]))
+        resets = [{"options": {"object_position": position}}]
     shows = _shows(settings)
     out = output(settings)
     check_film(out, width, height)

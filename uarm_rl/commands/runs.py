@@ -35,11 +35,7 @@ def run(settings: Settings) -> None:
     found = inventory(results_dir)
     chosen = [one for one in found if _is_wanted(one, settings)]
     if not chosen:
-        of = "uarm-rl train makes one"
-        if found:
-            methods = ", ".join(dict.fromkeys(one.method for one in found if one.method))
-            of = f"none of its {len(found)} is what was asked for; the methods there are {methods}"
-        print(f"{results_dir} holds no such run; {of}")
+        print(f"{results_dir} holds no such run; {_instead(found, settings['method'])}")
         return
     print(tables.aligned(_HEADINGS, [list(map(printable, cells)) for cells in _rows(chosen)], left=4))
     for sentence in [*(reason for one in chosen for reason in one.stale), stale_table(results_dir, found)]:
@@ -48,9 +44,27 @@ def run(settings: Settings) -> None:
 
 
 def _is_wanted(one: Run, settings: Settings) -> bool:
-    filters = {"name": one.name, "method": one.method, "state": one.state, "engine": one.engine.partition(",")[0]}
-    matches = all(settings[key] is None or fnmatchcase(value, str(settings[key])) for key, value in filters.items())
+    filters = {
+        "name": [one.name],
+        "method": [one.method, *one.method.split(", ")],  # all of it, or its buffer or its reward
+        "state": [one.state],
+        "engine": [one.engine.partition(",")[0]],
+    }
+    matches = all(
+        settings[key] is None or any(fnmatchcase(value, str(settings[key])) for value in values)
+        for key, values in filters.items()
+    )
     return matches and (bool(one.stale) or not checks.boolean("stale", settings["stale"]))
+
+
+def _instead(found: Sequence[Run], method: object) -> str:
+    """What to do where no run is as wanted."""
+    if not found:
+        return "uarm-rl train makes one"
+    if any(fnmatchcase(one.name, str(method)) for one in found):
+        return f"{method} is a name and no method: name={method}"
+    methods = "; ".join(dict.fromkeys(one.method for one in found if one.method))
+    return f"none of its {len(found)} is what was asked for; the methods there are {methods}"
 
 
 _HEADINGS = ("Name", "Method", "State", "Engine", "Seeds", "Episodes", "Success (%)", "Changed", "Size (MB)", "Stale")

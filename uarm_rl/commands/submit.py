@@ -26,12 +26,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from uarm_rl import checks, locks, workers
-from uarm_rl.checks import UsageError
+from uarm_rl.checks import UsageError, command
 from uarm_rl.commands import submitted
 from uarm_rl.commands.errors import explain, printable
 from uarm_rl.configuration import Settings
 from uarm_rl.files import POLICY
-from uarm_rl.report.records import command
 
 #: How long a task waits for a folder that another still holds (s): a lock of a machine that has died ends after minutes.
 _PATIENCE_S: Final = 300.0

@@ -22,12 +22,11 @@ from typing import TYPE_CHECKING, Any, Final
 from filelock import FileLock
 
 from uarm_rl import checks, csvfile, locks, signals
-from uarm_rl.checks import UsageError
+from uarm_rl.checks import UsageError, command
 from uarm_rl.columns import PROGRESS, pick
 from uarm_rl.commands.errors import explain, printable
 from uarm_rl.configuration import Settings, compose
 from uarm_rl.files import PRUNED
-from uarm_rl.report.records import command
 
 if TYPE_CHECKING:
     import optuna

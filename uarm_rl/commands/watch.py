@@ -65,7 +65,11 @@ def run(settings: Settings) -> None:
         print(f"{address}\nopen this address in a browser of this machine; Ctrl-C ends it", flush=True)
         if given == ["arm"]:
             if not (folder / live.LIVE).exists():
-                print(f"{folder} has no {live.LIVE} yet; waiting for run-real watch=true, which writes it", flush=True)
+                meant = checks.did_you_mean(
+                    str(folder), [str(path.parent) for path in folder.parent.parent.glob(f"*/*/{live.LIVE}")]
+                )
+                waiting = "waiting for run-real watch=true, which writes it"
+                print(f"{folder} has no {live.LIVE} yet{meant}\n{waiting}", flush=True)
             _show_arm(one, folder)
         else:
             _try_positions(one, shown, seed)

@@ -11,13 +11,13 @@ from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
+from uarm_rl.checks import command
 from uarm_rl.report import figures, statistics, tables
 from uarm_rl.report.records import (
     DISTURBANCE,
     PROGRESS,
     Runs,
     check_engines,
-    command,
     find_runs,
     read_config,
     read_evaluations,

@@ -10,11 +10,11 @@ from typing import Any, Final
 import pandas as pd
 
 from uarm_rl import columns
+from uarm_rl.checks import command
 from uarm_rl.report import tables
 from uarm_rl.report.records import (
     Method,
     Runs,
-    command,
     find_runs,
     lacking,
     methods,

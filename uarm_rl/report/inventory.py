@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from uarm_rl import columns, csvfile, files, locks
+from uarm_rl.checks import command
 from uarm_rl.columns import RATE, TEXT, WHOLE, Column, pick
 from uarm_rl.report.records import (
     INVERSE_KINEMATICS,
     METHODS,
     OLDEST_ENGINE,
     REAL_ARM,
-    command,
     find_runs,
     read_config,
     seed_number,
@@ -60,7 +60,7 @@ class Run(NamedTuple):
 def inventory(results_dir: Path) -> list[Run]:
     """All runs in ``results_dir`` and in its folders of further runs, as ``ablations``; by name and seed.
 
-    Raises :class:`uarm_rl.report.records.ReportError` if there is no such folder. A file that is damaged makes its run stale.
+    Raises :class:`uarm_rl.checks.UsageError` if there is no such folder. A file that is damaged makes its run stale.
     """
     found = find_runs(results_dir)
     runs = dict(found)

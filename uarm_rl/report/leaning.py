@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import pandas as pd
 
+from uarm_rl.checks import command
 from uarm_rl.report import tables
-from uarm_rl.report.records import Method, Runs, command, find_runs, lacking, methods, read_config, read_evaluations
+from uarm_rl.report.records import Method, Runs, find_runs, lacking, methods, read_config, read_evaluations
 from uarm_rl.report.tables import Document, Section, Table
 
 #: The files beside the standard test, and the options of `uarm-rl evaluate` for each.

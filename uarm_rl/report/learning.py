@@ -8,8 +8,9 @@ from typing import Final
 
 import pandas as pd
 
+from uarm_rl.checks import command
 from uarm_rl.report import figures, tables
-from uarm_rl.report.records import METHODS, RETURNS, TRACES, Method, Runs, command, read
+from uarm_rl.report.records import METHODS, RETURNS, TRACES, Method, Runs, read
 from uarm_rl.report.tables import Section
 
 SMOOTHING_EPISODES: Final = 20

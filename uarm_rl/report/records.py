@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Collection, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -13,6 +12,7 @@ import pandas as pd
 import yaml
 
 from uarm_rl import columns, csvfile, files
+from uarm_rl.checks import command, results_folder
 from uarm_rl.columns import Columns, pick
 
 #: The folders of the runs of each name, in the order of their seeds.
@@ -125,12 +125,8 @@ _REMEDIES: Final = {
 
 def find_runs(results_dir: Path) -> dict[str, list[Path]]:
     """The run folders of each ``name`` below ``results_dir``, in order."""
-    if not results_dir.is_dir():
-        raise ReportError(
-            f"{results_dir} is not a folder; name one with results_dir=PATH or make one with {command(results_dir, 'train')}"
-        )
     runs: dict[str, list[Path]] = {}
-    for folder in results_dir.glob("*/seed*"):
+    for folder in results_folder(results_dir).glob("*/seed*"):
         is_run = (folder / "progress.csv").exists() or (folder / "evaluation.csv").exists()
         if is_run and re.fullmatch(r"seed\d+", folder.name) and not folder.parent.name.startswith(_HIDDEN):
             runs.setdefault(folder.parent.name, []).append(folder)
@@ -203,12 +199,6 @@ def read_config(folder: Path) -> dict[str, Any]:
     except (OSError, yaml.YAMLError, ValueError, RecursionError):
         return {}
     return settings if isinstance(settings, dict) else {}
-
-
-def command(results_dir: Path, words: str) -> str:
-    """A command of this program for these results, as a user can paste it."""
-    where = "" if results_dir == Path("results") else f" results_dir={shlex.quote(str(results_dir))}"
-    return f"`uarm-rl {words}{where}`"
 
 
 def read_seeds(folders: Sequence[Path], file: str, columns: Columns) -> pd.DataFrame:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import pandas as pd
 
+from uarm_rl.checks import command
 from uarm_rl.report.learning import TRACES_FILE
-from uarm_rl.report.records import METHODS, TRACES, Method, Runs, command, read, read_config, seed_number
+from uarm_rl.report.records import METHODS, TRACES, Method, Runs, read, read_config, seed_number
 from uarm_rl.report.tables import Document, Replay, Section, Stage
 
 if TYPE_CHECKING:

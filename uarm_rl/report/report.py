@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from uarm_rl import files, progress
+from uarm_rl.checks import UsageError, command
 from uarm_rl.files import CONFIG
 from uarm_rl.report import tables
 from uarm_rl.report.ablations import ABLATIONS, ablations
@@ -18,7 +19,7 @@ from uarm_rl.report.learning import learning, rewards, shaking
 from uarm_rl.report.page import page
 from uarm_rl.report.paper_fit import paper_fit
 from uarm_rl.report.provenance import provenance
-from uarm_rl.report.records import PROGRESS, ReportError, command, find_runs, in_engines, methods, read_evaluations, read_seeds
+from uarm_rl.report.records import PROGRESS, ReportError, find_runs, in_engines, methods, read_evaluations, read_seeds
 from uarm_rl.report.replays import replays
 from uarm_rl.report.robustness import held_out, holds, tolerance
 from uarm_rl.report.sample_efficiency import budgets
@@ -34,14 +35,15 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
 
     Reads ``<name>/seed<k>/progress.csv``, ``evaluation.csv`` and the other evaluations there, ``paper.csv`` (if absent,
     the packaged one), and the runs in ``ablations/``. Tables and pictures show every run that is there. Raises
-    :class:`ReportError`, with nothing written, if a file cannot be used. ``usual`` is the configuration that the studies
+    :class:`UsageError` if the folder holds no run, and :class:`ReportError`, with nothing written, if a file of one cannot be
+    used. ``usual`` is the configuration that the studies
     in ``ablations/`` change.
     """
     if (results_dir / CONFIG).exists():
-        raise ReportError(f"{results_dir} is a run; did you mean results_dir={results_dir.parent.parent}, where all runs are?")
+        raise UsageError(f"{results_dir} is a run; did you mean results_dir={results_dir.parent.parent}, where all runs are?")
     found = find_runs(results_dir)
     if not found and not (results_dir / ABLATIONS).is_dir():
-        raise ReportError(f"{results_dir} holds no run; make one with {command(results_dir, 'train')}")
+        raise UsageError(f"{results_dir} holds no run; make one with {command(results_dir, 'train')}")
     shown = methods(found)
     runs = {method.folder: found.get(method.folder, []) for method in shown}
     evaluations = read_evaluations(runs)

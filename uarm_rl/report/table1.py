@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import pandas as pd
 
+from uarm_rl.checks import command
 from uarm_rl.report import tables
-from uarm_rl.report.records import LEANING, METHODS, SHAKING, Method, Runs, command, read_config, read_paper
+from uarm_rl.report.records import LEANING, METHODS, SHAKING, Method, Runs, read_config, read_paper
 from uarm_rl.report.tables import Content, Document, Section, Table
 
 _FURTHER: Final = {**SHAKING, **LEANING}

@@ -167,9 +167,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 if math.hypot(position[0] - cup[0], position[1] - cup[1]) >= _CLEARANCE_M:
                     break
         else:
-            position = np.asarray(wanted, np.float64)
-            if position.shape != (3,) or not kinematics.reachable(position):
-                raise ValueError(f"object_position must be three numbers (m) that the cup can reach, got {wanted!r}")
+            position = positions.within_reach("object_position", wanted)
         self.target.place_object(position)
         x, y, z = position.tolist()
         return x, y, z

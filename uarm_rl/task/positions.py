@@ -51,6 +51,14 @@ def draw(generator: np.random.Generator, height_m: float) -> Vector:
             return position
 
 
+def within_reach(name: str, value: object) -> Vector:
+    """``value`` as an array of shape (3,) if it is a position (m) that the cup can reach; :class:`ValueError` otherwise."""
+    position = np.asarray(value, np.float64)
+    if position.shape != (3,) or not kinematics.reachable(position):
+        raise ValueError(f"{name} must be three numbers (m) that the cup can reach, got {value!r}")
+    return position
+
+
 def draw_file(name: str) -> Vector:
     """The rows of a committed position file, drawn again from its seed and rounded to the file's micrometres."""
     rows, seed = FILES[name]
@@ -67,10 +75,15 @@ def load_packaged(name: str, height_m: float = OBJECT_HEIGHT_M) -> Vector:
 def load_named(name: str, height_m: float = OBJECT_HEIGHT_M) -> Vector:
     """The packaged ``test``, ``validation`` or ``heldout`` positions, or those of the file ``name``; shape (n, 3).
 
-    ``height_m`` is the object's, for the packaged ones.
+    ``height_m`` is the object's, for the packaged ones. Raises :class:`ValueError` if there is neither.
     """
     packaged = f"{name}_positions.csv"
-    return load_packaged(packaged, height_m) if packaged in FILES else load(Path(name))
+    if packaged in FILES:
+        return load_packaged(packaged, height_m)
+    if not Path(name).exists():
+        names = ", ".join(file.removesuffix("_positions.csv") for file in FILES)
+        raise ValueError(f"there is no file {name}; positions takes {names} or a CSV file with x_m, y_m and z_m")
+    return load(Path(name))
 
 
 def load(path: Path, height_m: float | None = None) -> Vector:

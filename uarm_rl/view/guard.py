@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import errno
 import hmac
+import html
 import io
 import secrets
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
+from functools import partial
 from http import HTTPStatus
 from typing import Any, Final
 
@@ -40,6 +42,16 @@ _PORTS: Final = 0xFFFF
 _OPENING_S: Final = 1.0
 _FAREWELL_S: Final = 0.5
 
+#: viser's client has a name of its own, and does not ask the browser whether its user likes pages light or dark.
+_TITLE: Final = "<title>Viser</title>"
+_SCHEMES: Final = ("light", "dark")
+_ASKS: Final = r"""<script>{
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const tell = () => fetch(location.pathname.replace(/\/?$/, dark.matches ? "/dark" : "/light"));
+  dark.addEventListener("change", tell);
+  tell();
+}</script>"""
+
 Handler = Callable[[Any, Request], Response | None]
 
 
@@ -47,28 +59,31 @@ Handler = Callable[[Any, Request], Response | None]
 def guarded_server(port: int, label: str) -> Iterator[tuple[viser.ViserServer, str]]:
     """A server and the address, secret included, under which this machine's browsers find it; 0: any port that is free.
 
-    Raises :class:`UsageError` for a port that is taken.
+    ``label`` is the page's title; it is light or dark as the browser's user likes it. Raises :class:`UsageError` for a port
+    that is taken.
     """
     secret = secrets.token_urlsafe(24)
     listening = _listening(port)
     port = listening.getsockname()[1]
-    with _guarding(listening, Gate(secret, port)) as guarded, redirect_stdout(io.StringIO()):  # it prints an address
+    gate = Gate(secret, port, label)
+    with _guarding(listening, gate) as guarded, redirect_stdout(io.StringIO()):  # it prints an address
         server = viser.ViserServer(host=LOOPBACK, port=port, label=label, verbose=False)
     try:
         if not guarded:
             raise RuntimeError("this viser listens in a way that cannot be guarded; install the version in constraints.txt")
         # What a button on the page would do: open a way in from the whole internet.
         setattr(server, "request_share_url", lambda *args, **words: None)  # noqa: B010 (a method is replaced)
-        set_theme(server)
+        gate.set_scheme = partial(_set_theme, server)
+        gate.set_scheme("light")
         yield server, f"http://{LOOPBACK}:{port}/{secret}/"
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()
 
 
-def set_theme(server: viser.ViserServer, *, dark: bool = False) -> None:
-    """A page without viser's own buttons, light or ``dark``."""
-    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=dark)
+def _set_theme(server: viser.ViserServer, scheme: str) -> None:
+    """A page without viser's own buttons."""
+    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large", dark_mode=scheme == "dark")
 
 
 def _listening(port: int) -> socket.socket:
@@ -84,10 +99,11 @@ def _listening(port: int) -> socket.socket:
 
 
 class Gate:
-    """What may come in at a port."""
+    """What may come in at a port, and the page's title. ``set_scheme`` is told "light" or "dark" by the page."""
 
-    def __init__(self, secret: str, port: int) -> None:
-        self._secret = secret.encode()
+    def __init__(self, secret: str, port: int, title: str) -> None:
+        self._secret, self._title = secret.encode(), title
+        self.set_scheme: Callable[[str], None] = lambda scheme: None
         self._hosts = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
         self._origins = {f"http://{host}" for host in self._hosts}
 
@@ -114,13 +130,24 @@ class Gate:
             else:
                 path, question, query = request.path.partition("?")
                 inner = path.split("/", 2)[2] if path.count("/") > 1 else ""
+                if inner in _SCHEMES:
+                    self.set_scheme(inner)
+                    return Response(HTTPStatus.NO_CONTENT, "No Content", Headers())
+                del request.headers["Accept-Encoding"]  # packed it could not be given a title, and the way is short
                 response = handle(connection, replace(request, path=f"/{inner}{question}{query}"))
+                if response is not None and not inner:
+                    self._name(response)
             if response is not None:
                 for name, value in _HEADERS.items():
                     response.headers[name] = value
             return response
 
         return checked
+
+    def _name(self, page: Response) -> None:
+        page.body = page.body.replace(_TITLE.encode(), f"<title>{html.escape(self._title)}</title>{_ASKS}".encode(), 1)
+        del page.headers["Content-Length"]
+        page.headers["Content-Length"] = str(len(page.body))
 
 
 @contextmanager

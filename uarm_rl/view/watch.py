@@ -18,13 +18,30 @@ import numpy as np
 from uarm_rl.sim.simulated_arm import Scene
 from uarm_rl.task import kinematics
 from uarm_rl.task.kinematics import Vector
-from uarm_rl.view.guard import guarded_server, set_theme
+from uarm_rl.view.guard import guarded_server
 from uarm_rl.view.scene import ArmView, viser
 
 _PATIENCE_S: Final = 0.05  # how soon a button is obeyed
 _SPEEDS: Final = ("0.1 x", "0.25 x", "0.5 x", "1 x", "2 x", "4 x")
 _REFERENCE_RGB: Final = (230, 120, 0)
+_EYE_M: Final = (1.02, -0.63, 0.66)
+_CENTRE_M: Final = (0.13, 0.0, 0.09)
+_NARROW_M: Final = 0.6  # is seen from side to side in a narrow window,
+_UPWARDS: Final = 0.42  # with the centre so far from the window's to its upper edge
 _SERIES_RGB: Final = ("#0072B2", "#D55E00")
+
+
+def _make_room(client: viser.ClientHandle) -> None:
+    """Move the arm to the upper part of a narrow window, whose lower part the panel covers."""
+    if client.camera.aspect >= 1.0:
+        return
+    forward = np.array(_CENTRE_M) - _EYE_M
+    distance_m = float(np.linalg.norm(forward))
+    up = np.array([0.0, 0.0, 1.0]) - forward * forward[2] / distance_m**2
+    half_height_m = _NARROW_M / 2.0 / client.camera.aspect
+    with client.atomic():
+        client.camera.fov = 2.0 * math.atan(half_height_m / distance_m)
+        client.camera.look_at = _CENTRE_M - _UPWARDS * half_height_m * up / np.linalg.norm(up)
 
 
 class Page:
@@ -36,8 +53,8 @@ class Page:
         self.arm.pose(kinematics.HOME_JOINTS_RAD)  # until there is something to show
         server.scene.configure_default_lights(cast_shadow=False)  # they reach no further than a part of the table
         server.initial_camera.fov = math.radians(35.0)
-        server.initial_camera.position = (1.02, -0.63, 0.66)
-        server.initial_camera.look_at = (0.13, 0.0, 0.09)
+        server.initial_camera.position, server.initial_camera.look_at = _EYE_M, _CENTRE_M
+        server.on_client_connect(_make_room)
         self._reference: Any = None
         self._words = server.gui.add_markdown("")
         self._said = ""
@@ -50,8 +67,6 @@ class Page:
             self._pause.on_click(lambda _: self._toggle())
             server.gui.add_button("Next position").on_click(lambda _: self._skips.set())
             self._speed = server.gui.add_dropdown("Speed", _SPEEDS, initial_value="1 x")
-        dark = server.gui.add_checkbox("Dark", initial_value=False)
-        dark.on_update(lambda _: set_theme(server, dark=dark.value))
 
     def _toggle(self) -> None:
         self._paused = not self._paused
