@@ -24,7 +24,7 @@ RESULTS ?= results
 SEEDS ?= 0,1,2
 METHODS ?= A,B,C,D,real_arm,rigid_arm
 # Each is a file in conf/experiment that holds what it varies.
-STUDIES ?= observability_long,long_servo,reference,halves,fixed_hold,servo,instant,sigma,gamma,tolerance,dwell,damping,beta,threshold,observability,actions,semi_markov,n_step,every_step,prioritized,learned_duration,learned_duration_by_time
+STUDIES ?= observability_long,long_servo,reference,halves,fixed_hold,servo,instant,sigma,gamma,tolerance,dwell,damping,beta,threshold,observability,actions,semi_markov,n_step,every_step,prioritized,learners,hindsight,learned_duration,learned_duration_by_time
 SIDE_BY_SIDE ?= hydra/launcher=joblib hydra.launcher.n_jobs=2 simulate_beside=false
 TRAIN = $(BIN)/uarm-rl train -m resume=true $(SIDE_BY_SIDE)
 EVALUATE = $(BIN)/uarm-rl evaluate results_dir=$(RESULTS)

@@ -72,6 +72,12 @@ QUESTIONS: Final = {
     "tuning": Question("Is uniform badly tuned for its cycle time?", ("tuning",), "setting", beside=("reference",)),
     "every_step": Question("Does storing the moving states too do harm?", ("every_step",), beside=("reference",)),
     "prioritized": Question("Does sampling by priority do the same?", ("prioritized",), "setting", beside=("reference",)),
+    "learners": Question(
+        "Is it DDPG's alone, or do other learners gain as much?",
+        ("learners", "hindsight"),
+        "setting",
+        beside=("reference", "halves"),
+    ),
     "duration": Question(
         "Would the agent find the waiting by itself?", ("learned_duration",), timed=True, beside=("fixed_hold",)
     ),
