@@ -58,7 +58,9 @@ def test_no_two_runs_share_a_folder():
         for job in jobs(words)
     ]
     runs = {f"{run['results_dir']}/{run['name']}/seed{run['seed']}": run for run in trained}
-    assert len(runs) == 6 + (2 + 2 + 1) + (8 + 1 + 2) + 3 + (2 + 2 + 4 + 4 + 10 + 1) + (12 + 1 + 4 + 2 + 4 + 1 + 2 + 4 + 1 + 1 + 1)
+    assert len(runs) == 6 + (2 + 2 + 1) + (8 + 1 + 2) + 3 + (2 + 2 + 4 + 4 + 10 + 1) + (
+        12 + 1 + 4 + 2 + 4 + 1 + 2 + 4 + 1 + 1 + 1
+    )
     assert all(run == runs[f"{run['results_dir']}/{run['name']}/seed{run['seed']}"] for run in trained)
     lengths = {run["name"]: run["episodes"] for run in trained if run["results_dir"] == "results/ablations"}
     long = {"long-servo-14-uniform-penalty", "long-velocity-uniform"}

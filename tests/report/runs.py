@@ -37,7 +37,7 @@ def add_evaluation(
     write(results / NAMES.get(name, name) / f"seed{seed}" / file, rows)
 
 
-def add_progress(results: Path, name: str, seed: int, *rates: str, steps_per_decision: int = 1, missing: int = 0) -> None:
+def add_progress(results: Path, name: str, seed: int, *rates: str, steps_per_decision: float = 1, missing: int = 0) -> None:
     """A log with one episode of 200 experiences, but for ``missing``, for each validation success rate, empty for none."""
     rows = [
         {"episode": episode, "experiences": 200 * episode - missing, "control_steps": 400 * steps_per_decision * episode}

@@ -62,6 +62,22 @@ def test_ablations_answer_each_question(tmp_path):
     assert "not trained: A (adaptive-plain)" in text
 
 
+def test_a_learned_duration_is_compared_in_equal_simulated_time_too(tmp_path):
+    add_study_run(tmp_path, "experiment=fixed_hold", "buffer=uniform")
+    add_study_run(tmp_path, "experiment=fixed_hold", "buffer=fixed_hold")
+    add_study_run(tmp_path, "experiment=learned_duration", "buffer=learned_hold")
+    # Control steps at the two validations, 0.5 and 0.75: 400, 800; 4400, 8800; 600, 1200.
+    name = compose("train", ("experiment=learned_duration", "buffer=learned_hold"))["name"]
+    add_progress(tmp_path / "ablations", name, 0, "0.5", "0.75", steps_per_decision=1.5)
+    report(tmp_path, USUAL)
+    with open(tmp_path / "ablations" / "ablations.csv", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["question"] == "duration"]
+    told = {row["buffer"]: (row["equal_time_success"], row["equal_time_learned"]) for row in rows}
+    assert told == {"uniform": ("0.75", "0.5"), "fixed_hold": ("", "0.75"), "learned_hold": ("0.75", "0.75")}
+    markdown = (tmp_path / "ablations" / "ablations.md").read_text()
+    assert "| uniform-penalty | 1 | 100 % (34.2 to 100 %) | 75 % | 50 % | 1 |" in markdown
+
+
 def test_a_folder_may_have_any_name(tmp_path):
     """What tells runs apart is in their configurations."""
     add_ablations(tmp_path)

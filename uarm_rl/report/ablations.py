@@ -32,7 +32,8 @@ ABLATIONS: Final = "ablations"  # below the results folder
 class Question(NamedTuple):
     """``studies`` are those that answer it, in the order of the table.
 
-    ``swept`` is the column that a sweep varies; its table and figure go by it. ``timed``: simulated time is a price too.
+    ``swept`` is the column that a sweep varies; its table and figure go by it. ``timed``: simulated time is a price too:
+    the table tells what each run and that of the first of ``studies`` had reached in the time of the shorter.
     ``beside`` are further studies, shown first for comparison, which alone answer nothing.
     """
 
@@ -82,7 +83,11 @@ QUESTIONS: Final = {
         "Would the agent find the waiting by itself?", ("learned_duration",), timed=True, beside=("fixed_hold",)
     ),
     "duration_by_time": Question(
-        "And with a discount by time?", ("learned_duration_by_time",), "setting", beside=("fixed_hold", "semi_markov")
+        "And with a discount by time?",
+        ("learned_duration_by_time",),
+        "setting",
+        timed=True,
+        beside=("fixed_hold", "semi_markov"),
     ),
     "constants": Question(
         "Does what was found hang on the constants that were chosen?",
@@ -98,6 +103,8 @@ _HEADINGS: Final = {
     "setting": "Changed",
     "servo_rise_s": "Servo rise (s)",
     "sigma": "Sigma (1/m)",
+    "equal_time_success": "Validation success in equal simulated time",
+    "equal_time_learned": "and that of the learned duration",
     "control_steps_per_decision": "Control steps a decision",
     "object_displacement_m": "Object moved (mm)",
     "training_displacement_m": "Moved while learning (mm per object)",
@@ -105,6 +112,7 @@ _HEADINGS: Final = {
 _UNITS: Final = {"m": (1000.0, " mm"), "s": (1.0, " s"), "rad": (1.0, " rad")}
 _DISPLACEMENT: Final = "object_displacement_m"
 _TRAINING_DISPLACEMENT: Final = "training_displacement_m"
+_IN_EQUAL_TIME: Final = ("equal_time_success", "equal_time_learned")
 _RATE: Final = "validation_success_rate"
 _BOTH: Final = ("adaptive", "uniform")
 _LAST_VALIDATIONS: Final = 3  # their mean is the end of a run: one validation has 50 positions
@@ -142,6 +150,9 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
                 table["setting"] = [_setting(study, points[run]) for run, study in chosen.items()]
             elif question.swept:
                 table = table.sort_values([question.swept, "buffer"], ascending=question.swept != "sigma", kind="stable")
+            if question.timed:
+                own = next(run for run in table["run"] if chosen[run] in question.studies)
+                table[[*_IN_EQUAL_TIME]] = [_in_equal_time(curves[run], curves[own]) for run in table["run"]]
             found[name] = table
             section.contents[f"{ABLATIONS}/{name}.png"] = _picture(question, found[name], curves)
     if found:
@@ -230,6 +241,12 @@ def _row(run: str, buffer: str, evaluation: pd.DataFrame, progress: pd.DataFrame
     }
 
 
+def _in_equal_time(*curves: pd.DataFrame) -> list[float]:
+    """The validation success of both when as much time is simulated as the shorter has in all; NaN if none was yet."""
+    shorter = min(curve["control_steps"].max() for curve in curves)
+    return [curve.loc[curve["control_steps"] <= shorter, f"{_RATE}_mean"].tail(1).mean() for curve in curves]
+
+
 def _choice(constants: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """How well both methods end on the validation positions with each constant, the only ones a choice may look at.
 
@@ -302,7 +319,8 @@ def _document(found: Mapping[str, pd.DataFrame]) -> Document:
     parts: list[Heading | Table | Shown] = []
     for name, table in found.items():
         swept = QUESTIONS[name].swept
-        further = [*([swept] if swept else []), "control_steps_per_decision", _DISPLACEMENT, _TRAINING_DISPLACEMENT]
+        in_time = _IN_EQUAL_TIME if QUESTIONS[name].timed else ()
+        further = [*([swept] if swept else []), *in_time, "control_steps_per_decision", _DISPLACEMENT, _TRAINING_DISPLACEMENT]
         cells = [
             [row["run"], str(row["seeds"]), tables.success_text(row), *(_cell(column, row[column]) for column in further)]
             for row in tables.records(table)
@@ -317,4 +335,6 @@ def _cell(column: str, value: float | str) -> str:
         return value
     if math.isnan(value):
         return "-"
+    if column in _IN_EQUAL_TIME:
+        return tables.percent(value)
     return f"{1000.0 * value:.1f}" if column.endswith("displacement_m") else f"{value:.3g}"
