@@ -198,7 +198,7 @@ def test_the_columns_are_as_they_are_declared(page, file):
 def test_every_command_setting_group_and_study_is_in_the_documentation():
     text = "".join(page.read_text() for page in PAGES)
     lacking = [command for command in COMMANDS if f"uarm-rl {command}" not in text and command != "completion"]
-    for group in ("buffer", "observation", "reward", "agent", "noise", "servo", "cup", "sim", "logger", "experiment"):
+    for group in ("task", "buffer", "observation", "reward", "agent", "noise", "servo", "cup", "sim", "logger", "experiment"):
         lacking += [one.stem for one in (ROOT / "conf" / group).glob("*.yaml") if f"`{one.stem}`" not in text]
     assert lacking == []
 

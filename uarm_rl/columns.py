@@ -130,7 +130,12 @@ SETTLED: Final = _columns(
         since="2026-11-28",
     ),
 )
-EVALUATION: Final[Columns] = {**MEASURED, **CONDITIONS, **LEANING, **SETTLED}
+#: How the arm touches obstacles: where the task has some.
+TOUCHING: Final = _columns(
+    Column("touched", OUTCOME, "", "the arm touched an obstacle", since="2026-12-01"),
+    Column("obstacle_contact_n", FINITE, "N", "normal force between arm and obstacles, the most", since="2026-12-01"),
+)
+EVALUATION: Final[Columns] = {**MEASURED, **CONDITIONS, **LEANING, **SETTLED, **TOUCHING}
 
 #: The arm and the object at one instant.
 STATE: Final = _columns(
@@ -182,6 +187,20 @@ TRIALS: Final = _columns(
 POSITIONS: Final = _columns(
     *(Column(f"{axis}_m", FINITE, "m", f"{axis} of the centre of the object's upper surface, base frame") for axis in "xyz")
 )
+
+#: An obstacle: the centre of a box, and its sides, along the axes of the base frame.
+BOX: Final = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m")
+#: A row a layout: the object, and up to three obstacles; those that are not there are empty.
+LAYOUTS: Final[Columns] = {
+    **POSITIONS,
+    **_columns(
+        *(
+            Column(f"obstacle{number}_{name}", FINITE, "m", f"of obstacle {number}", empty=True, optional=True)
+            for number in (1, 2, 3)
+            for name in BOX
+        )
+    ),
+}
 
 #: A row a look at a mark that the cup has touched.
 OBSERVATIONS: Final = _columns(

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from uarm_rl.sim.simulated_arm import SimulatedArm
     from uarm_rl.task.env import UArmSuctionEnv
+    from uarm_rl.task.observation import PaperObservation
 
 Settings = dict[str, Any]
 
@@ -31,6 +32,7 @@ Settings = dict[str, Any]
 
 #: Configuration group -> its classes by name. Texts, so that a command imports only what it uses.
 OPEN_SETS: Final = {
+    "task": {"reach": "uarm_rl.task.layouts:Reach", "obstacles": "uarm_rl.task.layouts:Obstacles"},
     "hold": {
         "fixed": "uarm_rl.task.hold:FixedHold",
         "until_steady": "uarm_rl.task.hold:UntilSteady",
@@ -139,10 +141,11 @@ def build_env(
         settings["actions"] != "joint"
         or settings["buffer"]["hold"]["name"] == "learned"
         or settings["observation"]["name"] in ("last_action", "stack")
+        or settings["task"]["name"] != "reach"
     ):
         raise UsageError(
-            "admission=every_step needs actions=joint, another hold than learned, and an observation that hangs on the present "
-            "alone: paper, velocity or reference"
+            "admission=every_step needs task=reach, actions=joint, another hold than learned, and an observation that hangs on "
+            "the present alone: paper, velocity or reference"
         )
     sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
     servo, cup = build("servo", settings["servo"]), build("cup", settings["cup"])
@@ -160,13 +163,29 @@ def build_env(
         object_height_m=sim["object_size_m"],
         ghost_share=settings["ghost_share"],
         keep_within=keep_within,
-        observation=build("observation", settings["observation"]),
+        observation=seen(settings),
+        layouts=build("task", settings["task"]),
         actions=settings["actions"],
         tightest_m=settings["tightest_m"],
         render_mode=render_mode,
         render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size) if picture_size else arm.scene,
     )
+
+
+def observation_of(settings: Settings) -> dict[str, Any]:
+    """What is seen, as a policy's card has it: the observation, and room for as many obstacles as the task has."""
+    slots = checks.mapping("task", settings["task"]).get("slots", 0)
+    return checks.mapping("observation", settings["observation"]) | ({"obstacles": slots} if slots else {})
+
+
+def seen(settings: Settings) -> PaperObservation:
+    """What a whole training configuration describes as the observation."""
+    from uarm_rl.task.observation import WithObstacles
+
+    kind: PaperObservation = build("observation", settings["observation"])
+    slots = build("task", settings["task"]).slots
+    return WithObstacles(kind, slots) if slots else kind
 
 
 def make_env(overrides: tuple[str, ...] = (), render_mode: str | None = None) -> UArmSuctionEnv:

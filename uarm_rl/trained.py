@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from uarm_rl import checks, files
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, choices, compose, groups_of
+from uarm_rl.configuration import Settings, build, choices, compose, groups_of, observation_of
 from uarm_rl.files import CONFIG, POLICY
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def value_range(settings: Settings) -> tuple[float, float]:
     gamma = settings["agent"]["gamma"]  # per control step too: a decision may take no more than one
     horizon = 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
     lowest, highest = build("reward", settings["reward"]).bounds(2.0 * REACH_M, HEIGHT_M)
-    return lowest * horizon, highest * horizon
+    return (lowest + build("task", settings["task"]).touching) * horizon, highest * horizon
 
 
 def policy_card(settings: Settings) -> PolicyCard:
@@ -37,8 +37,9 @@ def policy_card(settings: Settings) -> PolicyCard:
         **{
             key: settings[key]
             for key in ("max_delta_rad", "control_hz", "servo", "cup", "tolerance_m", "dwell_s", "episodes", "seed")
-            + ("observation", "actions")
+            + ("actions",)
         },
+        observation=observation_of(settings),
         hold=settings["buffer"]["hold"],
         buffer=settings["buffer"]["name"],
         reward=settings["reward"]["name"],
@@ -134,7 +135,7 @@ def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
         raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
     policy = ActorPolicy.load(run_dir / POLICY)
     own = {"observation": policy.card.observation, "actions": policy.card.actions}
-    if changed := checks.differences({key: settings[key] for key in own}, own):
+    if changed := checks.differences({"observation": observation_of(settings), "actions": settings["actions"]}, own):
         raise UsageError(f"{run_dir / POLICY} is not of this run: the run has {', '.join(changed)}")
     return policy
 

@@ -25,6 +25,7 @@ KINDS = {
     "reference": (("observation=reference", "actions=reference"), 23, 3, ""),
     "stack": (("observation=stack", "observation.frames=2"), 40, 3, ""),
     "absolute": (("actions=absolute",), 20, 3, "any place in one move"),
+    "obstacles": (("task=obstacles", "name=past", "reward=plain"), 35, 3, ""),
     "learned": (("buffer=learned_hold", "agent.gamma_per=control_step"), 20, 4, "how long a command acts"),
 }
 
@@ -38,7 +39,7 @@ def test_a_policy_of_every_kind_is_trained_tested_filmed_and_judged_for_the_arm(
     policy = load_policy(run)
     assert (policy.card.inputs, policy.card.outputs) == (inputs, outputs)
     assert policy.act(np.zeros(inputs, np.float32)).shape == (outputs,)
-    assert policy.card.observation == settings["observation"]
+    assert policy.card.observation == configuration.observation_of(settings)
 
     (tmp_path / "where.csv").write_text("x_m,y_m,z_m\n0.2,0.1,0.03\n0.25,-0.1,0.03\n")
     test = (f"run={run}", f"positions={tmp_path / 'where.csv'}", f"out={run / 'o.csv'}", "workers=1", "time_limit_s=0.5")
@@ -49,7 +50,7 @@ def test_a_policy_of_every_kind_is_trained_tested_filmed_and_judged_for_the_arm(
     episode = run_episode(env, policy, options={"object_position": (0.2, 0.1, 0.03)})
     env.close()
     assert (len(rows), float(rows[0]["return"])) == (2, pytest.approx(episode.episode_return, rel=1e-6))
-    if kind in ("stack", "learned"):
+    if kind in ("stack", "learned", "obstacles"):
         render.run(configuration.compose("render", (f"run={run}", f"out={tmp_path / 'film.gif'}", "width=64", "height=64")))
         assert (tmp_path / "film.gif").stat().st_size > 100
 
@@ -89,7 +90,7 @@ def test_a_card_says_no_more_than_what_is_not_as_it_always_was(tmp_path):
 
 
 def test_what_lies_within_a_decision_is_of_the_present_alone():
-    for words in (("observation=stack",), ("actions=reference",), ("hold@buffer.hold=learned",)):
+    for words in (("task=obstacles",), ("observation=stack",), ("actions=reference",), ("hold@buffer.hold=learned",)):
         settings = configuration.compose("train", ("buffer=every_step", *words))
-        with pytest.raises(checks.UsageError, match="admission=every_step needs actions=joint"):
+        with pytest.raises(checks.UsageError, match="admission=every_step needs task=reach, actions=joint"):
             configuration.build_env(settings, time_limit_s=None, keep_within=True)

@@ -14,7 +14,9 @@ from uarm_rl.configuration import Settings, build
 from uarm_rl.real.audit import Limits
 from uarm_rl.real.ports import camera_beside
 from uarm_rl.real.trials import Task, out_of_reach
+from uarm_rl.task import observation
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.layouts import Obstacles, Reach
 from uarm_rl.task.obstacles import boxes, leaves_room
 from uarm_rl.task.policy import ActorPolicy, PolicyCard, PolicyFileError
 
@@ -96,12 +98,19 @@ def feed(card: PolicyCard, wanted: float | None) -> float:
 
 def task_of(card: PolicyCard, settings: Settings) -> Task:
     """What the policy was trained for, and how its objects are picked up."""
+    slots, told = card.observation.get("obstacles", 0), boxes("obstacle", settings["obstacle"])
+    if 0 < slots < len(told):
+        raise UsageError(
+            f"{len(told)} obstacles are told, and the policy sees {slots} at the most; take some away, or policy=ik"
+        )
     return Task(
         hold=build("hold", card.hold),
         **{key: getattr(card, key) for key in ("control_hz", "max_delta_rad", "tolerance_m", "dwell_s")},
         **{key: settings[key] for key in ("time_limit_s", "press_m", "max_press_m")},
         object_size_m=object_size(settings["object_size_m"]),
-        observation=build("observation", card.observation),
+        observation=observation.kind(card.observation),
+        layouts=Obstacles(slots, 0.0) if slots else Reach(),
+        obstacles=told,
         actions=card.actions,
     )
 

@@ -26,7 +26,7 @@ from uarm_rl.evaluation.measures import Row, measure, settled_distance_m, trace_
 from uarm_rl.files import CONFIG, POLICY
 from uarm_rl.progress import shown
 from uarm_rl.sim.servo import rise_time_s
-from uarm_rl.task import positions
+from uarm_rl.task import layouts
 from uarm_rl.task.env import dwell_steps
 from uarm_rl.trained import in_engine, load_policy, read_run
 
@@ -123,7 +123,8 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     run_settings = _under_test(settings, run_settings)
     settling = checks.one_of("until", settings["until"], ("success", "time_limit")) == "time_limit"
     thing = checks.one_of("object", settings["object"], ("solid", "ghost"))
-    where = positions.load_named(str(settings["positions"]), run_settings["sim"]["object_size_m"])
+    slots = run_settings["task"].get("slots", 0)
+    where = layouts.load_named(str(settings["positions"]), slots, run_settings["sim"]["object_size_m"])
     policy = load_policy(run_dir, settings["policy"], run_settings)
     time_limit_s = run_settings["time_limit_s"]
     endless = {"dwell_s": time_limit_s + 1.0} if settling else {}  # who has to stay longer than there is time never succeeds
@@ -157,7 +158,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     if tested:
         print(f"{run_dir}: {len(rows)} positions recorded; {_traces(out)}")
         return
-    left_out = () if settling else columns.SETTLED
+    left_out = [*(() if settling else columns.SETTLED), *(() if slots else columns.TOUCHING)]
     names = [name for name in columns.EVALUATION if name not in left_out]
     write_rows(out, names, [{name: row[name] for name in names} for row in rows])
     successes = sum(bool(row["success"]) for row in rows)

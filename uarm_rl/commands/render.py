@@ -25,6 +25,8 @@ from uarm_rl.evaluation.film import Screen, Take, check_film, film, head_height,
 from uarm_rl.sim.simulated_arm import CAMERA, Camera, SimulatedArm
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.env import UArmSuctionEnv
+from uarm_rl.task.layouts import Layout
+from uarm_rl.task.obstacles import boxes
 from uarm_rl.trained import in_engine, load_policy, read_run
 
 
@@ -37,7 +39,9 @@ def run(settings: Settings) -> None:
     resets: list[dict[str, Any]] = [{"seed": first_seed + number} for number in range(episodes)]
     if settings["position"] is not None:
         position = positions.within_reach("position", checks.position("position", settings["position"]))
-        resets = [{"options": {"object_position": position}}]
+        resets = [{"options": Layout(position, boxes("obstacles", settings["obstacles"])).options()}]
+    elif settings["obstacles"] is not None:
+        raise UsageError("obstacles stand around an object that is told: give position=[x,y,z] too")
     shows = _shows(settings)
     out = output(settings)
     check_film(out, width, height)
@@ -53,8 +57,8 @@ def run(settings: Settings) -> None:
             assert isinstance(env.arm, SimulatedArm)
             arms.append(env.arm)
             takes.append([play(env, policy, reset) for reset in resets])
-            # The other one gets the same positions.
-            resets = [{"options": {"object_position": take.episode.trace[0, 6:9]}} for take in takes[0]]
+            # The other one gets the same.
+            resets = [{"options": Layout(take.episode.trace[0, 6:9], take.scenes[0].obstacles).options()} for take in takes[0]]
         full = width // len(shows), height
         size = full[0], height - head_height(*full)
         camera = _camera([take for several in takes for take in several], *size)
@@ -116,7 +120,11 @@ def _camera(takes: Sequence[Take], width: int, height: int) -> Camera:
     ends = [kinematics.forward(scene.joints_rad) for take in takes for scene in take.scenes]
     objects = [take.episode.trace[:, 6:9] for take in takes]
     spots = np.concatenate([*ends, *objects])
-    return CAMERA.fitted(np.concatenate([base, *(spots + by for by in around)]), width, height)
+    standing = {box for take in takes for box in take.scenes[0].obstacles}
+    edges = [np.add(box.centre_m, side * np.array(box.size_m)) for box in standing for side in (-0.5, 0.5)]
+    return CAMERA.fitted(
+        np.concatenate([base, *(spots + by for by in around), *np.array(edges).reshape(-1, 1, 3)]), width, height
+    )
 
 
 def output(settings: Settings) -> Path:

@@ -26,7 +26,7 @@ import torch
 
 from uarm_rl import checks, signals, workers
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, flat
+from uarm_rl.configuration import Settings, build, build_env, flat, seen
 from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import driver
 from uarm_rl.learn import run as session
@@ -36,7 +36,7 @@ from uarm_rl.learn.learner import Learner
 from uarm_rl.learn.loggers import Logger, Write
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule, Stop, Training
-from uarm_rl.task import positions
+from uarm_rl.task import layouts
 from uarm_rl.task.env import ACTION_SIZE, UArmSuctionEnv
 from uarm_rl.task.policy import Policy
 from uarm_rl.trained import policy_card, read_run, value_range
@@ -186,7 +186,8 @@ def _validation_env(settings: Settings) -> AbstractContextManager[UArmSuctionEnv
 
 def _validated(settings: Settings, env: UArmSuctionEnv, policy: Policy) -> Iterator[bool]:
     """Whether a policy reaches the validation positions, one after the other."""
-    return successes(env, policy, positions.load_packaged("validation_positions.csv", settings["sim"]["object_size_m"]))
+    slots = settings["task"].get("slots", 0)
+    return successes(env, policy, layouts.load_named("validation", slots, settings["sim"]["object_size_m"]))
 
 
 def _validated_in(pool: ProcessPoolExecutor, settings: Settings, policy: Policy) -> Iterator[bool]:
@@ -219,6 +220,9 @@ def output(settings: Settings) -> Path:
         raise UsageError(
             f"name={name} is no name of a folder; take letters, digits and . , + - _, and results_dir=PATH for paths"
         )
+    if settings["task"]["name"] != "reach" and name == f"{settings['buffer']['name']}-{settings['reward']['name']}":
+        task = settings["task"]["name"]
+        raise UsageError(f"task={task} needs a name of its own, as in name={task}-{name}: {name} is a run of task=reach")
     return checks.path("results_dir", settings["results_dir"]) / name / f"seed{seed}"
 
 
@@ -242,6 +246,8 @@ def _library(settings: Settings, schedule: Schedule, stack: ExitStack) -> Callab
         raise UsageError(f"agent={name} needs an extra; {checks.how_to_add('sb3')}")
     if settings["device"] != "cpu":
         raise UsageError(f"agent={name} learns on the processor; leave device={settings['device']} out, or take agent=ddpg")
+    if settings["task"]["name"] != "reach":
+        raise UsageError(f"agent={name} learns with task=reach alone; take agent=ddpg for {settings['task']['name']}")
     if settings["observation"]["name"] != "paper" or settings["buffer"]["hold"]["name"] == "learned":
         raise UsageError(f"agent={name} learns with observation=paper and without hold=learned; take agent=ddpg for the others")
     if settings["hindsight_targets"]:
@@ -275,7 +281,7 @@ def _learner(settings: Settings) -> Learner:
     seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
     env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
     networks = torch.Generator().manual_seed(network_seed)
-    observation = build("observation", settings["observation"])
+    observation = seen(settings)
     _check_hindsight(settings)
     draws = np.random.default_rng(seeds[2])  # of the buffer, and of the targets that are made up for it
     action_size = ACTION_SIZE + build("hold", settings["buffer"]["hold"]).choices
@@ -307,5 +313,8 @@ def _learner(settings: Settings) -> Learner:
 
 def _check_hindsight(settings: Settings) -> None:
     """Raises :class:`UsageError` where a decision does not hold what another target would have made of it."""
-    if settings["hindsight_targets"] and (settings["observation"]["name"] == "stack" or settings["reward"]["pressing"]):
-        raise UsageError("hindsight_targets needs an observation of one moment, not stack, and a reward without pressing")
+    told = settings["observation"]["name"] == "stack" or settings["reward"]["pressing"] or settings["task"]["name"] != "reach"
+    if settings["hindsight_targets"] and told:
+        raise UsageError(
+            "hindsight_targets needs task=reach, an observation of one moment, not stack, and a reward without pressing"
+        )

@@ -44,6 +44,8 @@ def measure(position: int, episode: Episode, common_reward: DistanceReward, *, c
         "press_m": episode.press_m,
         "reference_press_m": episode.reference_press_m,
         "contact_n": episode.contact_n,
+        "touched": episode.obstacle_contact_n > 0.0,
+        "obstacle_contact_n": episode.obstacle_contact_n,
     }
 
 

@@ -17,6 +17,7 @@ from uarm_rl.real.handshake import PUMP_S, NotReadyError, greet
 from uarm_rl.real.link import BadReplyError, CommandRefusedError, Event, Link, NoReplyError
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
+from uarm_rl.task.obstacles import Box
 
 log = logging.getLogger(__name__)
 
@@ -194,6 +195,13 @@ class SwiftArm:
 
     def contact_n(self) -> float:
         """Nothing here feels it."""
+        return 0.0
+
+    def place_obstacles(self, obstacles: Sequence[Box]) -> None:
+        """They stand there already, and the audit was told of them."""
+
+    def touch_n(self) -> float:
+        """Nothing here feels it; the audit keeps the arm away from obstacles."""
         return 0.0
 
     @property

@@ -22,8 +22,9 @@ from uarm_rl.task.arm import Ghost
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.hold import Hold
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.layouts import Layout, Layouts, Reach
 from uarm_rl.task.observation import PaperObservation
-from uarm_rl.task.obstacles import leaves_room
+from uarm_rl.task.obstacles import Box, leaves_room
 from uarm_rl.task.policy import Policy
 from uarm_rl.task.reward import DistanceReward
 from uarm_rl.task.rollout import run_episode
@@ -106,6 +107,8 @@ class Task:
     object_size_m: tuple[float, float, float]
     observation: PaperObservation = field(default_factory=PaperObservation)
     actions: str = "joint"
+    layouts: Layouts = field(default_factory=Reach)
+    obstacles: tuple[Box, ...] = ()  # that stand there, for a policy that sees some
 
     def __post_init__(self) -> None:
         checks.number("press_m", self.press_m, low=0.0, high=0.01)
@@ -115,6 +118,10 @@ class Task:
         """The object as the audit has to know it."""
         x, y, z = top_m.tolist()
         return KnownObject((x, y, z), self.object_size_m, self.max_press_m)
+
+    def options(self, target_m: Vector) -> dict[str, Any]:
+        """How an attempt begins: with the arm where it is, and the obstacles told to a policy that sees some."""
+        return {**Layout(target_m, self.obstacles if self.layouts.slots else ()).options(), "home": False}
 
     def env(self, arm: SwiftArm) -> UArmSuctionEnv:
         """The environment over ``arm``."""
@@ -129,6 +136,7 @@ class Task:
             dwell_s=self.dwell_s,
             time_limit_s=self.time_limit_s,
             observation=self.observation,
+            layouts=self.layouts,
             actions=self.actions,
             object_height_m=positions.OBJECT_HEIGHT_M,  # of objects that it places itself, here none
         )
@@ -179,7 +187,7 @@ def run_trials(
             row |= dict(zip(("target_x_m", "target_y_m", "target_z_m"), at.tolist(), strict=True))
             row |= {"looks": sighting.looks, "camera_misfit_px": sighting.misfit_px}
             row |= {"camera_disagreement_m": sighting.disagreement_m}
-            row["reason"] = out_of_reach(at) or _reach(arm, env, policy, at, row) or _pick_up(arm, at, task)
+            row["reason"] = out_of_reach(at) or _reach(arm, env, policy, task, at, row) or _pick_up(arm, at, task)
             row["success"] = not row["reason"]
             held = row["success"] or (put_down is not None and not out_of_reach(at) and _fetch(arm, at, task))
             if held:
@@ -216,13 +224,13 @@ def out_of_reach(target_m: Vector) -> str:
     )
 
 
-def _reach(arm: SwiftArm, env: UArmSuctionEnv, policy: Policy, target_m: Vector, row: Row) -> str:
+def _reach(arm: SwiftArm, env: UArmSuctionEnv, policy: Policy, task: Task, target_m: Vector, row: Row) -> str:
     """Bring the cup onto the target with the policy; why it did not arrive, if it did not. Adds to ``row``."""
     arm.home()
     began_s = arm.time_s()
     reason = ""
     try:
-        episode = run_episode(env, policy, options={"object_position": target_m, "home": False})
+        episode = run_episode(env, policy, options=task.options(target_m))
         row |= {"reached": episode.success, "decisions": episode.decisions}
     except UnsafeCommandError as error:  # nothing was sent, so the arm is as it was
         reason = f"the policy asked for something unsafe: {error}"

@@ -29,6 +29,7 @@ ACCENT: Final[Colour] = (0.16, 0.50, 0.74)
 RUBBER: Final[Colour] = (0.13, 0.13, 0.14)
 HOSE: Final[Colour] = (0.55, 0.70, 0.80)
 OBJECT: Final[Colour] = (0.90, 0.32, 0.26)
+OBSTACLE: Final[Colour] = (0.42, 0.50, 0.60)
 FLOOR: Final[Colour] = (0.92, 0.93, 0.94)
 EDGE: Final[Colour] = (0.74, 0.76, 0.78)
 FLOOR_RADIUS_M: Final = 0.62
@@ -251,11 +252,12 @@ def _pieces() -> Iterator[Part]:
         yield Part(f"hose{number}", HOSE, piece)
 
 
-def box(size_m: float) -> Mesh:
-    """The object, a cube about its centre with edges that are broken a little."""
-    edge = 0.06 * size_m
-    corner = size_m / 2.0 - edge
-    return slab([(x, z, edge) for x in (-corner, corner) for z in (-corner, corner)], size_m, bevel=0.5 * edge)
+def box(length_m: float, width_m: float | None = None, height_m: float | None = None) -> Mesh:
+    """A box about its centre with edges that are broken a little; a cube, as the object is, where one side is given."""
+    wide, high = width_m or length_m, height_m or length_m
+    edge = 0.06 * min(length_m, wide, high)
+    x, z = length_m / 2.0 - edge, high / 2.0 - edge
+    return slab([(x * one, z * other, edge) for one in (-1.0, 1.0) for other in (-1.0, 1.0)], wide, bevel=0.5 * edge)
 
 
 def floor() -> Mesh:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +27,7 @@ from uarm_rl.sim.simulated_arm import (
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.obstacles import Box
 
 __all__ = ["MujocoArm", "mjcf"]
 
@@ -33,7 +35,7 @@ _OLDEST: Final = (3, 8)
 _JOINTS: Final = ("joint1", "joint2", "joint3", "joint4")
 _LIP: Final = "lip"
 _SLACK_N: Final = 1e-6  # what the lip pushes with when nothing presses it: a row of the solver must not come and go
-_ARM, _TABLE, _OBJECT = 1, 2, 4  # bits of what a shape is, and of what it touches
+_ARM, _TABLE, _OBJECT, _OBSTACLE = 1, 2, 4, 8  # bits of what a shape is, and of what it touches
 _TOUCHES_TABLE: Final = ("link4", "cup")  # the others stand or hang above it whatever the joints do
 _CONTACT_IMPEDANCE: Final = (0.999, 0.999, 0.001, 0.5, 2.0)  # MuJoCo's usual 0.95 lets the cup 4 mm into the box
 _MOTOR_IMPEDANCE: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's highest
@@ -75,8 +77,15 @@ def mjcf() -> str:
     return text
 
 
+def _name(number: int) -> str:
+    """What an obstacle's shape is called."""
+    return f"obstacle{number}"
+
+
 def _touches(geom: Any) -> tuple[int, int]:
-    """What a shape is and what it touches, as MuJoCo's bits: arm and box, box and table, hand and table."""
+    """What a shape is and what it touches, as MuJoCo's bits: arm and box, box and table, hand and table; obstacles both."""
+    if geom.name.startswith("obstacle"):
+        return _OBSTACLE, _ARM | _OBJECT
     if geom.name == "table":
         return _TABLE, 0
     if geom.name == "object":
@@ -126,24 +135,30 @@ class MujocoArm(SimulatedArm):
             cup=cup,
             gui=gui,
         )
-        model = self._spec().compile()
-        driven = 5 if cup else 4  # the joints, and the lip
+        self._driven = 5 if cup else 4  # the joints, and the lip
+        self._build()
+        self._view: View | None = None
+        self._window = Window(object_size_m) if gui else None
+        self.home()
+
+    def _build(self) -> None:
+        """Make a world with the obstacles that there are."""
+        model, driven = self._spec().compile(), self._driven
         # Friction loss comes first among the constraints, in the order of the joints; nothing may stand before it.
         assert model.neq == 0
         assert model.jnt_dofadr[:driven].tolist() == list(range(driven))
         model.dof_invweight0[:driven] *= _MOTOR_SOFTNESS
-        self._model, self._data, self._driven = model, mujoco.MjData(model), driven
+        self._model, self._data = model, mujoco.MjData(model)
         data = self._data
         self._angles, self._speeds, self._first_guess = data.qpos[:driven], data.qvel[:driven], data.qacc_warmstart[:driven]
         self._links = [model.body(name).id for name in ("link2", "link3", "link4")]
         self._cup = model.site("cup").id
         self._touching = {model.geom("cup").id, model.geom("object").id}
-        self._view: View | None = None
-        self._window = Window(object_size_m) if gui else None
-        self.home()
+        self._in_the_way = {model.geom(_name(number)).id for number in range(len(self._obstacles))}
+        self._parts = {number for number in range(model.ngeom) if model.geom_contype[number] == _ARM}
 
     def _spec(self) -> Any:
-        """Arm, table and box, without the shapes that are only looked at."""
+        """Arm, table, box and obstacles, without the shapes that are only looked at."""
         spec = read_model()
         if self._bellows is not None:
             lip = spec.body("cup")
@@ -163,6 +178,9 @@ class MujocoArm(SimulatedArm):
         thing = spec.worldbody.add_body(name="object", pos=(*PARKED_M, half))
         thing.add_freejoint()
         thing.add_geom(name="object", type=box, size=(half, half, half), mass=self._object_mass_kg)
+        for number, obstacle in enumerate(self._obstacles):
+            sides = [side / 2.0 for side in obstacle.size_m]
+            spec.worldbody.add_geom(name=_name(number), type=box, pos=obstacle.centre_m, size=sides)
         for geom in spec.geoms:
             if geom.contype:
                 geom.name = geom.name or geom.parent.name
@@ -178,6 +196,9 @@ class MujocoArm(SimulatedArm):
         return spec
 
     def home(self) -> None:
+        if self._obstacles:
+            self._obstacles = ()
+            self._build()
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
         self._angles[:4] = self._start()
@@ -213,6 +234,17 @@ class MujocoArm(SimulatedArm):
             self._window.show(self.scene())
         return 1
 
+    def place_obstacles(self, obstacles: Sequence[Box]) -> None:
+        if tuple(obstacles) != self._obstacles:  # a compiled world has as many shapes as it has
+            before, self._obstacles = self._data, tuple(obstacles)
+            self._build()
+            for name in ("qpos", "qvel", "qacc_warmstart"):
+                getattr(self._data, name)[:] = getattr(before, name)
+            mujoco.mj_kinematics(self._model, self._data)
+
+    def touch_n(self) -> float:
+        return self._force_n(self._parts, self._in_the_way) if self._in_the_way else 0.0
+
     def _put_object(self, centre_m: tuple[float, float, float]) -> None:
         n = self._driven
         self._data.qpos[n : n + 7] = (*centre_m, 1.0, 0.0, 0.0, 0.0)  # which wakes it
@@ -223,9 +255,14 @@ class MujocoArm(SimulatedArm):
         return x, y, z, w, a, b, c
 
     def contact_n(self) -> float:
+        return self._force_n(self._touching, self._touching)
+
+    def _force_n(self, these: set[int], those: set[int]) -> float:
+        """The normal force (N) between shapes of two sets."""
         model, data, force, total = self._model, self._data, np.zeros(6), 0.0
         for number in range(data.ncon):
-            if {*data.contact.geom[number].tolist()} == self._touching:
+            one, other = data.contact.geom[number].tolist()
+            if (one in these and other in those) or (other in these and one in those):
                 mujoco.mj_contactForce(model, data, number, force)
                 total += float(force[0])
         return total
@@ -238,10 +275,10 @@ class MujocoArm(SimulatedArm):
         return float(self._angles[4]) if self._bellows else 0.0
 
     def draw(self, scene: Scene, width: int, height: int, camera: Camera = CAMERA) -> NDArray[np.uint8]:
-        if self._view is None or self._view.size != (width, height):
+        if self._view is None or self._view.shows != ((width, height), scene.obstacles):
             if self._view is not None:
                 self._view.close()
-            self._view = View(self._object_size_m, (width, height))
+            self._view = View(self._object_size_m, (width, height), scene.obstacles)
         return self._view.picture(scene, camera)
 
     def close(self) -> None:

@@ -6,6 +6,7 @@ import ctypes
 import logging
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ from uarm_rl.checks import how_to_add
 from uarm_rl.sim import looks
 from uarm_rl.sim.simulated_arm import CAMERA, Camera, Scene
 from uarm_rl.task.arm import ArmError
+from uarm_rl.task.obstacles import Box
 
 __all__ = ["View", "Window", "mujoco"]
 
@@ -42,7 +44,7 @@ _OBJECT: Final = "object"
 class _Stage:
     """The arm's looks, an object and a floor; every frame is a body that is put where it belongs."""
 
-    def __init__(self, object_size_m: float, size: tuple[int, int] | None = None) -> None:
+    def __init__(self, object_size_m: float, size: tuple[int, int] | None = None, obstacles: Sequence[Box] = ()) -> None:
         spec = mujoco.MjSpec()
         if size is not None:
             spec.visual.global_.offwidth, spec.visual.global_.offheight = size
@@ -60,6 +62,8 @@ class _Stage:
         spec.add_texture(name="sky", **sky, rgb1=(1.0, 1.0, 1.0), width=8, height=48)
         self._spec, self._meshes = spec, 0
         self._draw(spec.worldbody, looks.floor(), looks.FLOOR)
+        for box in obstacles:
+            self._draw(spec.worldbody, looks.moved(looks.box(*box.size_m), box.centre_m), looks.OBSTACLE)
         bodies: dict[str, Any] = {}
         for part in looks.parts():
             if part.frame not in bodies:
@@ -94,11 +98,11 @@ def _point(at: Any, camera: Camera) -> None:
 
 
 class View:
-    """Pictures of one size. Raises :class:`ArmError` where there is no way to draw."""
+    """Pictures of one size, with the same obstacles. Raises :class:`ArmError` where there is no way to draw."""
 
-    def __init__(self, object_size_m: float, size: tuple[int, int]) -> None:
-        self.size = size
-        self._stage = _Stage(object_size_m, size)
+    def __init__(self, object_size_m: float, size: tuple[int, int], obstacles: tuple[Box, ...] = ()) -> None:
+        self.shows = size, obstacles
+        self._stage = _Stage(object_size_m, size, obstacles)
         self._camera = mujoco.MjvCamera()
         try:
             self._renderer = mujoco.Renderer(self._stage.model, height=size[1], width=size[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,6 +22,7 @@ from uarm_rl.sim.servo import Servo
 from uarm_rl.sim.simulated_arm import (
     CAMERA,
     OBJECT_COLOUR,
+    OBSTACLE_COLOUR,
     PARKED_M,
     TABLE_CENTRE_M,
     TABLE_COLOUR,
@@ -34,6 +35,7 @@ from uarm_rl.sim.simulated_arm import (
 )
 from uarm_rl.task.arm import JointPositions
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.obstacles import Box
 
 
 @contextmanager
@@ -121,6 +123,7 @@ class SimArm(SimulatedArm):
             text, self._urdf = cup.joined(self._urdf.read_text()), Path(self._folder.name, "arm.urdf")
             self._urdf.write_text(text)
         self._arm = self._object = self._table = -1
+        self._in_the_way: list[int] = []
         self._studio: _Studio | None = None
         self.home()
 
@@ -141,6 +144,7 @@ class SimArm(SimulatedArm):
     def home(self) -> None:
         client = {"physicsClientId": self._client}
         bullet.resetSimulation(**client)
+        self._obstacles, self._in_the_way = (), []
         # A direct solver: with the default, 50 iterations let the outstretched arm sag by 1.5 degrees under its own
         # weight and a resting box creep by 13 um/s. It is also the faster one here.
         with _silent(1):
@@ -205,6 +209,20 @@ class SimArm(SimulatedArm):
         self._check_motion(self.read_joints(), asked)
         return 1
 
+    def place_obstacles(self, obstacles: Sequence[Box]) -> None:
+        for body in self._in_the_way:
+            bullet.removeBody(body, physicsClientId=self._client)
+        self._obstacles, self._in_the_way = tuple(obstacles), []
+        for box in obstacles:
+            length, width, height = (side / 2.0 for side in box.size_m)
+            body = self._box((length, width, height), 0.0, box.centre_m, OBSTACLE_COLOUR)
+            bullet.changeDynamics(body, -1, lateralFriction=self._friction, physicsClientId=self._client)
+            self._in_the_way.append(body)
+
+    def touch_n(self) -> float:
+        points = [bullet.getContactPoints(self._arm, body, physicsClientId=self._client) for body in self._in_the_way]
+        return float(sum(point[9] for several in points for point in several))
+
     def _put_object(self, centre_m: tuple[float, float, float]) -> None:
         bullet.resetBasePositionAndOrientation(self._object, centre_m, (0, 0, 0, 1), physicsClientId=self._client)
         bullet.resetBaseVelocity(self._object, (0, 0, 0), (0, 0, 0), physicsClientId=self._client)
@@ -247,6 +265,7 @@ class _Studio:
         self._parts = [(part.frame, part.mesh, self._body(part.mesh, part.colour)) for part in looks.parts()]
         box = looks.box(object_size_m)
         self._parts.append(("object", box, self._body(box, looks.OBJECT)))
+        self._obstacles: dict[Box, tuple[looks.Mesh, int]] = {}
         self._backdrop: tuple[Any, Backdrop] | None = None
 
     def _body(self, mesh: looks.Mesh, colour: looks.Colour) -> int:
@@ -261,8 +280,19 @@ class _Studio:
         )
         return int(bullet.createMultiBody(0.0, -1, shape, **client))
 
+    def _stand(self, obstacles: Sequence[Box]) -> Iterator[looks.Mesh]:
+        """Show these obstacles and no others; what they look like, in their places."""
+        for gone in self._obstacles.keys() - set(obstacles):
+            bullet.removeBody(self._obstacles.pop(gone)[1], physicsClientId=self._client)
+        for box in obstacles:
+            if box not in self._obstacles:
+                mesh = looks.moved(looks.box(*box.size_m), box.centre_m)
+                self._obstacles[box] = mesh, self._body(mesh, looks.OBSTACLE)
+            yield self._obstacles[box][0]
+
     def picture(self, scene: Scene, width: int, height: int, camera: Camera) -> NDArray[np.uint8]:
         client = {"physicsClientId": self._client}
+        standing = list(self._stand(scene.obstacles))
         poses = looks.poses(scene.joints_rad, scene.compression_m) | {"object": (scene.object[:3], scene.object[3:])}
         for frame, _, body in self._parts:
             position, (w, x, y, z) = poses[frame]
@@ -290,7 +320,7 @@ class _Studio:
         seen_by = camera, (width, height)
         if self._backdrop is None or self._backdrop[0] != seen_by:
             self._backdrop = seen_by, Backdrop(*seen_by)
-        meshes = [posed(mesh, poses[frame]) for frame, mesh, _ in self._parts]
+        meshes = [*(posed(mesh, poses[frame]) for frame, mesh, _ in self._parts), *standing]
         return self._backdrop[1].behind(meshes, np.ascontiguousarray(rgba[:, :, :3]), empty)
 
     def close(self) -> None:

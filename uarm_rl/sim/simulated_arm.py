@@ -22,6 +22,7 @@ from uarm_rl.sim.servo import Servo
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions, PhysicsError
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.obstacles import Box
 
 #: Angles or angular velocities of joint1..joint4.
 Chain = tuple[float, float, float, float]
@@ -32,6 +33,7 @@ TORQUES_NM: Final = (1.18, 1.18, 1.18, 1.18)  # the data sheet's 12 kgf cm
 TABLE_CENTRE_M: Final = (0.1, 0.0, -0.05)
 TABLE_HALF_EXTENTS_M: Final = (0.5, 0.8, 0.05)
 TABLE_COLOUR: Final = (0.87, 0.83, 0.77, 1.0)
+OBSTACLE_COLOUR: Final = (0.35, 0.45, 0.55, 1.0)
 OBJECT_COLOUR: Final = (0.85, 0.25, 0.15, 1.0)
 PARKED_M: Final = (0.0, 0.6)  # the object's place, on the table and out of reach, until it is placed
 
@@ -53,6 +55,7 @@ class Scene(NamedTuple):
     joints_rad: JointPositions
     object: ObjectPose
     compression_m: float = 0.0  # of the cup's bellows
+    obstacles: tuple[Box, ...] = ()
 
 
 class Camera(NamedTuple):
@@ -148,6 +151,7 @@ class SimulatedArm(ABC):
         self._object_mass_kg = object_mass_kg
         self._friction = friction
         self._bellows = cup
+        self._obstacles: tuple[Box, ...] = ()
         self.torques_nm = TORQUES_NM  # what the motors of joint1..joint4 can give
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -166,7 +170,7 @@ class SimulatedArm(ABC):
 
     @abstractmethod
     def home(self) -> None:
-        """Make the world anew: arm at rest in the home pose, object parked out of reach."""
+        """Make the world anew: arm at rest in the home pose, object parked out of reach, no obstacles."""
 
     @abstractmethod
     def read_joints(self) -> JointPositions: ...
@@ -184,6 +188,12 @@ class SimulatedArm(ABC):
 
     @abstractmethod
     def contact_n(self) -> float: ...
+
+    @abstractmethod
+    def place_obstacles(self, obstacles: Sequence[Box]) -> None: ...
+
+    @abstractmethod
+    def touch_n(self) -> float: ...
 
     @abstractmethod
     def link_ends(self) -> Vector:
@@ -204,7 +214,7 @@ class SimulatedArm(ABC):
 
     def scene(self) -> Scene:
         """Where everything is now."""
-        return Scene(self.read_joints(), self._object_pose(), self.compression_m())
+        return Scene(self.read_joints(), self._object_pose(), self.compression_m(), self._obstacles)
 
     def render(self, width: int, height: int) -> NDArray[np.uint8]:
         """An RGB picture, shape (height, width, 3), of arm and object from the side and above, as they are now."""

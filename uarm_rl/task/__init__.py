@@ -7,6 +7,7 @@ Read ``env.py`` first: the Gymnasium environment, one step a decision. It stands
 - ``observation.py``, ``reward.py``, ``hold.py``: the 20 numbers or more, equation (4), how long a command acts
 - ``within.py``: the control steps of a held decision, as decisions that might have begun there
 - ``obstacles.py``: boxes in the way, and how near all of the arm comes to them
+- ``layouts.py``: what stands where when an attempt begins, and that there is a way
 - ``positions.py``: where the object may lie, and the committed files of positions
 
 and on it stand ``policy.py`` (a trained actor as one file, the inverse-kinematics baseline) and ``rollout.py`` (one episode).

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from uarm_rl.task.kinematics import Vector
+    from uarm_rl.task.obstacles import Box
 
 JointPositions = tuple[float, float, float]
 
@@ -45,6 +46,14 @@ class Arm(Protocol):
 
     def contact_n(self) -> float:
         """With how much normal force (N) the cup pushes the object now; 0 where nobody can tell."""
+        ...
+
+    def place_obstacles(self, obstacles: Sequence[Box]) -> None:
+        """Put these boxes in its way, and no others; a real arm is only told of those that stand there."""
+        ...
+
+    def touch_n(self) -> float:
+        """With how much normal force (N) the arm, any part of it, pushes obstacles now; 0 where nobody can tell."""
         ...
 
     @property

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks, columns
-from uarm_rl.task import kinematics, positions
+from uarm_rl.task import kinematics, obstacles, positions
 from uarm_rl.task.arm import Arm, ArmError, Ghost, JointPositions, PhysicsError, Target
 from uarm_rl.task.hold import Hold
+from uarm_rl.task.layouts import Layout, Layouts, Reach
 from uarm_rl.task.observation import Look, Observation, PaperObservation
 from uarm_rl.task.reward import DistanceReward, RewardTerms
 from uarm_rl.task.within import Moment, Within, decisions_within
@@ -24,9 +25,7 @@ ACTION_SIZE: Final = 3
 ACTIONS: Final = ("joint", "reference", "absolute")
 
 _LONGEST_S: Final = 3600.0
-
-#: A new object is not put down where the cup still is.
-_CLEARANCE_M: Final = 0.06
+_OPTIONS: Final = ("object_position", "obstacles", "home", "ghost", "tolerance_m")
 
 
 class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -38,21 +37,27 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     hold that is learned takes a fourth number. *Step*: the reference acts until ``hold`` releases it. *Reward*: ``reward``,
     equation (4) of the paper.
 
-    ``terminated``: success, the cup stayed within ``tolerance_m`` of the target for ``dwell_s`` without a break (the
-    flag). ``truncated``: ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach,
-    or the simulation exploded (``info["exploded"]``; only a reset with ``home`` mends it).
+    ``layouts`` is what may stand where: an object alone, or obstacles too, which are then behind the other numbers of the
+    observation. One that is drawn begins at home.
 
-    ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one), ``home`` (default
-    true; false leaves the arm where it is and only places a new object) and, with ``home``, ``ghost`` (whether the target is
-    told and nothing solid is there; default: a ``ghost_share`` of the episodes) and ``tolerance_m`` (default: drawn between
-    ``tightest_m`` and ``tolerance_m``, where the former is given).
+    ``terminated``: success, the cup stayed within ``tolerance_m`` of the target for ``dwell_s`` without a break (the
+    flag), and the arm touched no obstacle before; an attempt in which it did is ``truncated`` there. ``truncated``:
+    ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach, or the simulation
+    exploded (``info["exploded"]``; only a reset with ``home`` mends it).
+
+    ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one), with it ``obstacles`` (six
+    numbers each, see :func:`uarm_rl.task.obstacles.boxes`; default: none), ``home`` (default true; false leaves the arm
+    where it is and only places a new object) and, with ``home``, ``ghost`` (whether the target is told and nothing solid
+    is there; default: a ``ghost_share`` of the episodes) and ``tolerance_m`` (default: drawn between ``tightest_m`` and
+    ``tolerance_m``, where the former is given).
 
     ``info`` has the same keys after ``reset`` and ``step``: ``is_success``, ``distance_m``, ``object_position`` (3,),
     ``control_steps`` of the decision, ``clipped`` (the reference was cut at a limit), ``travel_rad`` (largest joint difference
     between the two states), the reward's terms, ``object_moved_m``, ``object_lost``, ``exploded``, ``ghost``, and how the arm
     leans: ``press_m`` and ``reference_press_m``, how far the cup and the commanded one were below the object's upper surface
-    while over it, and ``contact_n``, the largest normal force between them. How the decision went, control step by control
-    step, is in ``trace``.
+    while over it, and ``contact_n``, the largest normal force between them. ``touched`` tells whether the arm has touched
+    an obstacle since the reset, and ``obstacle_contact_n`` with what force at the most. How the decision went, control
+    step by control step, is in ``trace``.
 
     With ``keep_within``, for training, ``info`` of a ``step`` has ``within`` too: the decisions that might have begun at the
     control steps of this one (:mod:`uarm_rl.task.within`).
@@ -81,6 +86,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         ghost_share: float = 0.0,
         keep_within: bool = False,
         observation: PaperObservation | None = None,
+        layouts: Layouts | None = None,
         actions: str = "joint",
         tightest_m: float | None = None,
         render_mode: str | None = None,
@@ -97,6 +103,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._hold = hold
         self._control_hz = control_hz
         self._observation = observation or PaperObservation()
+        self._layouts = layouts or Reach()
         self._actions = checks.one_of("actions", actions, ACTIONS)
         self._max_delta_rad = checks.number("max_delta_rad", max_delta_rad, low=0.0, high=math.pi, open_low=True)
         self.tolerance_m = self._tolerance_m = checks.number("tolerance_m", tolerance_m, low=0.0, high=0.1, open_low=True)
@@ -123,25 +130,24 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         super().reset(seed=seed)
         options = options or {}
-        if unknown := set(options) - {"object_position", "home", "ghost", "tolerance_m"}:
-            raise ValueError(
-                f"reset has no option {sorted(unknown)[0]!r}; it takes object_position, home, ghost and tolerance_m"
-            )
-        if options.get("home", True):
+        if unknown := sorted(set(options) - set(_OPTIONS)):
+            raise ValueError(f"reset has no option {unknown[0]!r}; it takes {', '.join(_OPTIONS[:-1])} and {_OPTIONS[-1]}")
+        homes = options.get("home", True) or (self._layouts.slots > 0 and "object_position" not in options)
+        if homes:
             self.arm.home()
             self.target = self._ghost if self._is_ghost(options.get("ghost")) else self._solid
             self._tolerance_m = self._tolerance(options.get("tolerance_m"))
         self._joints = self.arm.read_joints()
         self._link_ends = kinematics.forward(self._joints)
-        if options.get("home", True) or self.arm.at_rest:  # else the arm is still doing what it was told before
+        if homes or self.arm.at_rest:  # else the arm is still doing what it was told before
             self._reference = self._before = self._joints
             self._passed, self._last_action = 1, np.zeros(ACTION_SIZE + self._hold.choices)
         self._observation.begin()
-        self._object, self._in_reach = self._place(options.get("object_position")), True
+        self._object, self._in_reach = self._place(options.get("object_position"), options.get("obstacles")), True
         self._dwelt_steps = 0
         self._elapsed_steps = 0
         self._flag = False
-        self._press_m = self._reference_press_m = self._contact_n = 0.0
+        self._press_m = self._reference_press_m = self._contact_n = self._touch_n = 0.0
         self._begun = True
         self._trace = []
         if self.render_mode == "rgb_array_list":
@@ -159,17 +165,18 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return math.exp(self.np_random.uniform(low, high))
         return self.tolerance_m if wanted is None else checks.number("tolerance_m", wanted, low=0.0, high=0.1, open_low=True)
 
-    def _place(self, wanted: Any) -> tuple[float, float, float]:
-        if wanted is None:
-            cup = self._link_ends[3]
-            while True:
-                position = positions.draw(self.np_random, self._object_height_m)
-                if math.hypot(position[0] - cup[0], position[1] - cup[1]) >= _CLEARANCE_M:
-                    break
+    def _place(self, object_m: Any, in_the_way: Any) -> tuple[float, float, float]:
+        if object_m is None:
+            layout = self._layouts.draw(self.np_random, self._object_height_m, self._link_ends[3])
         else:
-            position = positions.within_reach("object_position", wanted)
-        self.target.place_object(position)
-        x, y, z = position.tolist()
+            layout = Layout(positions.within_reach("object_position", object_m), obstacles.boxes("obstacles", in_the_way))
+        if self._layouts.slots:
+            self.arm.place_obstacles(layout.obstacles)
+        elif layout.obstacles:
+            raise ValueError("this task has no obstacles; task=obstacles has some")
+        self._in_the_way = layout.obstacles
+        self.target.place_object(layout.object_m)
+        x, y, z = layout.object_m.tolist()
         return x, y, z
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -179,7 +186,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         clipped = self._command(action)
         hold = self._hold.chosen(self._last_action[ACTION_SIZE:].tolist())
         self._trace, self._moments, control_steps = [], [], 0
-        self._press_m = self._contact_n = 0.0
+        self._press_m = self._contact_n = touch_n = 0.0
         lost = timed_out = released = exploded = False
         while not (self._flag or lost or timed_out or released):
             last = self._joints
@@ -192,6 +199,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             lost = not self._sense(passed)
             control_steps += passed
             self._trace.append(self.state())
+            touch_n = max(touch_n, self.arm.touch_n() if self._in_the_way else 0.0)
             timed_out = self._elapsed_steps >= self._step_limit
             travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
             released = hold.releases(control_steps, travel_rad)
@@ -199,7 +207,15 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 self._moments.append(self._moment(travel_rad, control_steps))
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
-        terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object, self._press_m)
+        self._touch_n = max(self._touch_n, touch_n)
+        terms = self._reward(
+            start_cup,
+            start_object,
+            self._link_ends[3].tolist(),
+            self._object,
+            self._press_m,
+            self._layouts.touching if touch_n > 0.0 else 0.0,
+        )
         info = self._info(
             terms,
             control_steps=control_steps,
@@ -211,7 +227,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         if self._keep_within:
             info["within"] = [] if exploded else self._within(self._flag or lost or timed_out)
-        return self._observe(), terms.total, self._flag, not self._flag and (lost or timed_out or exploded), info
+        ended = self._flag or lost or timed_out or exploded
+        return self._observe(), terms.total, info["is_success"], ended and not info["is_success"], info
 
     def _moment(self, travel_rad: float, control_steps: int) -> Moment:
         cup = self._link_ends[3].tolist()
@@ -236,7 +253,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> dict[str, Any]:
         """What vector environments can batch: the same keys, shapes and types every time."""
         return {
-            "is_success": self._flag,
+            "is_success": self._flag and self._touch_n == 0.0,
             "distance_m": self._distance_m(),
             "object_position": np.array(self._object),
             "control_steps": control_steps,
@@ -252,6 +269,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "press_m": self._press_m,
             "reference_press_m": self._reference_press_m,
             "contact_n": self._contact_n,
+            "touched": self._touch_n > 0.0,
+            "obstacle_contact_n": self._touch_n,
         }
 
     @property
@@ -319,9 +338,17 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def _observe(self) -> Observation:
         per_s = self._control_hz / self._passed
         velocity = [per_s * (now - before) for now, before in zip(self._joints, self._before, strict=True)]
-        return self._observation.see(
-            Look(self._joints, self._link_ends, self._object, self._flag, velocity, self._reference, self._last_action.tolist())
+        look = Look(
+            self._joints,
+            self._link_ends,
+            self._object,
+            self._flag,
+            velocity,
+            self._reference,
+            self._last_action.tolist(),
+            self._in_the_way,
         )
+        return self._observation.see(look)
 
     def _picture(self) -> Any:
         if self._take_picture is None:

@@ -1,7 +1,7 @@
 """What the policy sees: the paper's 20 numbers (section 3.2; as ``docs/paper.md`` reads it), or more than these.
 
 The paper's lack what the arm is still doing: its velocity, and the reference that it has not reached yet. The other kinds add
-one of these, or what they can be told from.
+one of these, or what they can be told from. Behind any of them stands what is in the way, where the task has obstacles.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.task import kinematics
+from uarm_rl.task.obstacles import Box
 
 Observation = NDArray[np.float32]
 
@@ -37,6 +38,10 @@ OFFSET: Final[NDArray[np.float32]] = np.array(
 SCALE: Final[NDArray[np.float32]] = np.array(
     [0.014, 0.014, 1, 0.1, 0.1, 0.08, 0.15, 0.2, 0.12, 0.15, 0.3, 0.12, 0.04, 0.04, 0.04, 1.2, 0.8, 0.8, 0.8, 1], np.float32
 )
+
+#: What is seen of an obstacle; the scale is half of what there is, as above.
+OBSTACLE_NAMES: Final = ("x_m", "y_m", "length_m", "width_m", "top_m")
+OBSTACLE_SCALE: Final = (0.3, 0.3, 0.06, 0.06, 0.16)
 
 CUP: Final = slice(9, 12)
 CUP_TO_OBJECT: Final = slice(12, 15)
@@ -80,6 +85,7 @@ class Look:
     velocity_rad_s: Sequence[float]  # of joint1..joint3, over the last control step
     reference_rad: Sequence[float]  # what joint1..joint3 were last commanded
     last_action: Sequence[float]  # in [-1, 1]; zeros while there was none
+    obstacles: Sequence[Box] = ()
 
 
 class PaperObservation:
@@ -159,6 +165,31 @@ class StackedObservation(PaperObservation):
         return np.concatenate(self._frames)
 
 
+class WithObstacles(PaperObservation):
+    """Another observation, and behind it the obstacles: where each stands and its sides, zeros for those that are not there.
+
+    Metres in the base frame. ``slots`` is for how many there is room; :class:`ValueError` where there are more.
+    """
+
+    def __init__(self, inner: PaperObservation, slots: int) -> None:
+        self._inner, self._slots = inner, checks.integer("observation.obstacles", slots, low=1, high=100)
+        names = [f"obstacle{number}_{name}" for number in range(1, slots + 1) for name in OBSTACLE_NAMES]
+        self.names = (*inner.names, *names)
+        self.offset = np.concatenate((inner.offset, np.zeros(len(names), np.float32)))
+        self.scale = np.concatenate((inner.scale, np.tile(np.array(OBSTACLE_SCALE, np.float32), slots)))
+
+    def begin(self) -> None:
+        self._inner.begin()
+
+    def see(self, look: Look) -> Observation:
+        if len(look.obstacles) > self._slots:
+            raise ValueError(f"there are {len(look.obstacles)} obstacles, and an observation has room for {self._slots}")
+        seen = np.zeros((self._slots, len(OBSTACLE_NAMES)), np.float32)
+        for row, box in zip(seen, look.obstacles, strict=False):
+            row[:] = *box.centre_m[:2], *box.size_m[:2], box.centre_m[2] + box.size_m[2] / 2.0
+        return np.concatenate((self._inner.see(look), seen.ravel()))
+
+
 #: Each kind by its name in a configuration and on a policy's card.
 KINDS: Final[Mapping[str, type[PaperObservation]]] = {
     "paper": PaperObservation,
@@ -170,10 +201,15 @@ KINDS: Final[Mapping[str, type[PaperObservation]]] = {
 
 
 def kind(settings: Mapping[str, Any]) -> PaperObservation:
-    """The kind that a configuration or a policy's card names; :class:`ValueError` with a sentence if there is none such."""
+    """The kind that a configuration or a policy's card names; :class:`ValueError` with a sentence if there is none such.
+
+    ``obstacles`` among the settings: with room for so many.
+    """
     arguments = checks.mapping("observation", settings)
+    slots = arguments.pop("obstacles", 0)
     name = checks.one_of("observation.name", arguments.pop("name", None), tuple(KINDS))
     try:
-        return KINDS[name](**arguments)
+        seen = KINDS[name](**arguments)
+        return WithObstacles(seen, slots) if slots else seen
     except TypeError:
         raise ValueError(f"observation={name} has no such keys: {', '.join(arguments) or 'frames is missing'}") from None

@@ -25,6 +25,7 @@ class Episode:
     press_m: float = 0.0  # the deepest that the cup was below the object's upper surface while over it
     reference_press_m: float = 0.0  # and the deepest that it was told to be
     contact_n: float = 0.0  # the largest normal force between cup and object
+    obstacle_contact_n: float = 0.0  # and between the arm and an obstacle
 
 
 def run_episode(env: UArmSuctionEnv, policy: Policy, **reset: Any) -> Episode:
@@ -33,7 +34,7 @@ def run_episode(env: UArmSuctionEnv, policy: Policy, **reset: Any) -> Episode:
     traces = [env.state()[np.newaxis]]
     episode_return, decisions = 0.0, 0
     terminated = truncated = False
-    leaning = dict.fromkeys(("press_m", "reference_press_m", "contact_n"), 0.0)
+    leaning = dict.fromkeys(("press_m", "reference_press_m", "contact_n", "obstacle_contact_n"), 0.0)
     while not (terminated or truncated):
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         leaning = {name: max(value, info[name]) for name, value in leaning.items()}

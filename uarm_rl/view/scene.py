@@ -21,6 +21,7 @@ __all__ = ["TABLE_M", "ArmView", "colour", "viser"]
 
 if TYPE_CHECKING:
     from uarm_rl.task.kinematics import Vector
+    from uarm_rl.task.obstacles import Box
 
 #: The arm's place on the table: front to back, and side to side (m). The base stands on its left edge, in the middle.
 TABLE_M: Final = (0.52, 0.56)
@@ -75,6 +76,8 @@ class ArmView:
         for number, part in enumerate(shown):
             self._add_mesh(f"{paths[part.frame]}/mesh{number}", part.mesh, part.colour)
         self._object = scene.add_frame(f"{name}/object", show_axes=False, visible=False)
+        self._obstacles: tuple[Box, ...] = ()
+        self._standing: list[viser.MeshHandle] = []
         self._box_m = object_size_m
         self._box = self._add_mesh(f"{name}/object/box", looks.box(object_size_m), looks.OBJECT)
         self._mark = scene.add_cylinder(f"{name}/target", _MARK_M / 2.0, 0.001, color=_MARK_COLOUR, visible=False)
@@ -112,6 +115,16 @@ class ArmView:
         """Show the object with its centre there, turned so."""
         self._object.visible = True
         self._object.position, self._object.wxyz = pose
+
+    def put_obstacles(self, obstacles: Sequence[Box]) -> None:
+        """Show these obstacles, and no others."""
+        if tuple(obstacles) != self._obstacles:
+            for mesh in self._standing:
+                mesh.remove()
+            self._obstacles = tuple(obstacles)
+            meshes = [looks.moved(looks.box(*box.size_m), box.centre_m) for box in obstacles]
+            names = [f"{self._name}/obstacle{number}" for number in range(len(meshes))]
+            self._standing = [self._add_mesh(name, mesh, looks.OBSTACLE) for name, mesh in zip(names, meshes, strict=True)]
 
     def mark_target(self, point_m: Sequence[float] | Vector | None) -> None:
         """Mark where the cup's tip is to go (x, y, z from the base); ``None`` hides the mark."""

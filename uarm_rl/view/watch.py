@@ -112,6 +112,7 @@ class Page:
         with self._server.atomic():
             self.arm.pose(scene.joints_rad, scene.compression_m)
             self.arm.put_object_at((scene.object[:3], scene.object[3:]))
+            self.arm.put_obstacles(scene.obstacles)
             self.arm.mark_target(target_m)
 
     def show_arm(
