@@ -55,7 +55,7 @@ paper: $(VENV)/.installed-launch  ## all runs of the paper, all tests, the repor
 	$(EVALUATE) policy=ik cup=bellows object=ghost out=bellows-ghost.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
-ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 6 hours on two cores
+ablations: $(VENV)/.installed-launch  ## the shorter runs that say why it works, and the report; about 25 hours on two cores
 	$(TRAIN) results_dir=$(RESULTS)/ablations experiment=$(STUDIES) seed=$(SEEDS) $(OVERRIDES)
 	$(BIN)/uarm-rl evaluate results_dir=$(RESULTS)/ablations overwrite=true
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
@@ -66,7 +66,7 @@ leaning: $(VENV)/.installed-launch  ## the paper's methods with a cup that gives
 	$(EVALUATE)/bellows object=ghost out=ghost.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
-engines: $(VENV)/.installed-engines  ## the paper's policies in MuJoCo too, C and D trained there, and the report; about 25 minutes on two cores
+engines: $(VENV)/.installed-engines  ## the paper's policies in MuJoCo too, C and D trained there, and the report; about 30 minutes on two cores
 	$(TRAIN) results_dir=$(RESULTS)/mujoco experiment=C,D seed=$(SEEDS) sim=mujoco episodes=300 $(OVERRIDES)
 	$(EVALUATE)/mujoco
 	$(EVALUATE)/mujoco sim=pybullet out=pybullet.csv

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 from contextlib import redirect_stderr
 
 import pytest
@@ -40,9 +41,20 @@ def test_a_terminal_has_a_bar_and_a_file_has_lines_alone(stream, monkeypatch):
         lines = text.splitlines()
         assert all(line == "warning: something" or line.startswith("mine/seed0: ") for line in lines)
         assert [line.split(",")[0] for line in lines if line.startswith("mine")] == [
-            f"mine/seed0: {number} of 10 episodes" for number in (3, 4, 5, 6, 6)
+            f"mine/seed0: {number} of 10 episodes" for number in (3, 4, 5, 6)
         ]
         assert lines[-1].endswith(" to go, success 3")
+
+
+@pytest.mark.parametrize("stream", [io.StringIO], indirect=True)
+def test_a_step_and_a_sign_of_life_together_are_one_line(stream, monkeypatch):
+    monkeypatch.setattr(progress._Lines, "silence_s", 0.3)
+    with redirect_stderr(stream), progress.progress(10, "episode", "mine/seed0") as bar:
+        bar.mininterval = 0.3
+        time.sleep(0.4)
+        bar.tick()
+        bar.update()
+    assert [line[:16] for line in stream.getvalue().splitlines()] == ["mine/seed0: 0 of", "mine/seed0: 1 of"]
 
 
 @pytest.mark.parametrize("stream", [io.StringIO], indirect=True)

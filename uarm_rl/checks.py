@@ -34,6 +34,7 @@ def integer(name: str, value: object, *, low: int, high: int | None = None) -> i
     top = math.inf if high is None else high
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= top:
         hint = f"; write {name}={value:.0f}" if isinstance(value, float) and value.is_integer() else ""
+        hint = f"; give it one, as in {name}=NUMBER" if value is True else hint  # what an option without a value is
         raise ValueError(f"{name} must be a whole number{_range(low, top, False)}, got {_shown(value)}{hint}")
     return value
 
@@ -156,6 +157,13 @@ def results_folder(results_dir: Path) -> Path:
             f"{results_dir} is not a folder; name one with results_dir=PATH or make one with {command(results_dir, 'train')}"
         )
     return results_dir
+
+
+def place_of(path: Path) -> Path:
+    """``path`` if it is in a folder that exists; :class:`UsageError` with a sentence otherwise."""
+    if not path.parent.is_dir():
+        raise UsageError(f"there is no folder {path.parent} for {path.name}; make it first, or give another out=FILE")
+    return path
 
 
 def how_to_add(extra: str) -> str:

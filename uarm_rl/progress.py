@@ -43,12 +43,19 @@ class _Lines(Bar):
     """Where nothing moves: each sight of the bar is a line, as in ``mine/seed0: 40 of 1500 episodes, 02:10, 1:19:00 to go``."""
 
     silence_s = LINE_EVERY_S
+    _shown: tuple[object, object] | None = None  # what the last line said, but for its times
+    _shown_t = 0.0
 
     def __init__(self, **words: Any) -> None:
         words |= {"mininterval": LINE_EVERY_S, "miniters": 1, "delay": 1e-9}  # a delay: nothing is shown before the first step
         super().__init__(**words, bar_format="{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed}, {remaining} to go{postfix}")
 
     def display(self, *_: Any, **__: Any) -> None:
+        if time.time() - self._shown_t >= self.silence_s:  # a sign of life and a step may come one after the other
+            self._print()
+
+    def _print(self) -> None:
+        self._shown, self._shown_t = (self.n, self.postfix), time.time()
         print(self, file=self.fp, flush=True)
 
     def clear(self, *_: Any, **__: Any) -> None:
@@ -56,7 +63,8 @@ class _Lines(Bar):
 
     def close(self) -> None:
         if not self.disable:
-            self.display()
+            if self._shown != (self.n, self.postfix):
+                self._print()
             self.sp = None  # so that nothing is drawn over it
         super().close()
 

@@ -298,7 +298,7 @@ def test_a_finished_run_is_refused_and_kept(trained):
     run = trained / "results" / "adaptive-penalty" / "seed0"
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     assert_refused(
-        uarm_rl("train", "experiment=C", *QUICK, cwd=trained), 1, "already holds a finished run", "results_dir=FOLDER"
+        uarm_rl("train", "experiment=C", *QUICK, cwd=trained), 2, "already holds a finished run", "results_dir=FOLDER"
     )
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 

@@ -128,4 +128,4 @@ def test_what_cannot_be_exported_is_said_and_nothing_is_written(run, tmp_path):
 def test_without_onnx_the_extra_is_named(run, tmp_path, without):
     done = uarm_rl("export", f"run={run}", "out=p.onnx", cwd=tmp_path, environment=without("onnx"))
     remedy = "pip install -c constraints.txt -e '.[export]'"
-    assert (done.returncode, done.stderr) == (1, f"error: onnx is not installed; export needs it; in the checkout: {remedy}\n")
+    assert (done.returncode, done.stderr) == (2, f"error: onnx is not installed; export needs it; in the checkout: {remedy}\n")

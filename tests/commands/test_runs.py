@@ -119,7 +119,7 @@ def test_two_runs_are_compared(results, capsys):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["compare=[a]"], "compare takes two folders of runs, as in compare=[results/a/seed0,results/b/seed0]"),
+        (["compare=[a]"], "compare takes two folders of runs, as in --compare results/a/seed0 results/b/seed0"),
         (["compare=[results/a/seed0,results/b/seed0]"], "there is no run folder results/a/seed0"),
         (["state=lost"], "state must be training or interrupted or trained or evaluated, got 'lost'"),
         (["results_dir=nowhere"], "nowhere is not a folder"),

@@ -87,7 +87,7 @@ def test_what_cannot_be_shown_is_refused_in_a_sentence(capsys, words, sentence):
 
 def test_without_viser_a_sentence_says_how_to_add_it(tmp_path, without):
     done = uarm_rl("watch", "policy=ik", cwd=tmp_path, environment=without("viser"))
-    assert (done.returncode, done.stdout) == (1, "")
+    assert (done.returncode, done.stdout) == (2, "")
     assert re.fullmatch(r"error: viser is not installed, .*pip install .*'\.\[view\]'\n", done.stderr)
 
 

@@ -18,7 +18,8 @@ _ENGINES: Final = ("pybullet", "mujoco", "viser")  # their modules say it themse
 
 
 def explain(error: Exception) -> tuple[str, int]:
-    """A sentence and an exit code for an exception: 2 for a wrong command line, 1 for a command that failed."""
+    """A sentence and an exit code for an exception: 2 for a command line that asks for what is not there, or may
+    not be, and 1 for a command that failed."""
     sentence = " ".join(str(error).split()) or type(error).__name__
     module = type(error).__module__
     if module.startswith(("hydra", "omegaconf")):
@@ -33,9 +34,9 @@ def explain(error: Exception) -> tuple[str, int]:
         )
         return f"{what}; {remedy}", 1
     if isinstance(error, ModuleNotFoundError) and error.name in _MISSING:
-        return f"{error.name} is not installed; {_MISSING[error.name]}", 1
+        return f"{error.name} is not installed; {_MISSING[error.name]}", 2
     if isinstance(error, ModuleNotFoundError) and error.name in _ENGINES:
-        return sentence, 1
+        return sentence, 2
     if isinstance(error, MemoryError) or "can't allocate memory" in sentence or "out of memory" in sentence:
         return "there is not enough memory for this; look for a size in the configuration that is far too large", 1
     if isinstance(error, RecursionError):

@@ -50,7 +50,8 @@ def run(settings: Settings) -> None:
         )
     if settings["run"]:
         run_dir = checks.path("run", settings["run"])
-        _evaluate_run(settings, run_dir, read_run(run_dir), Path(file) if settings["out"] else run_dir / file)
+        run_settings = read_run(run_dir)
+        _evaluate_run(settings, run_dir, run_settings, checks.place_of(Path(file)) if settings["out"] else run_dir / file)
         return
     if Path(file).name != file:
         raise UsageError(

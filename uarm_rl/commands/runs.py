@@ -110,7 +110,7 @@ def episodes(alike: Sequence[Run]) -> str:
 
 def _compare(folders: object) -> None:
     if not isinstance(folders, list) or len(folders) != 2:
-        raise UsageError("compare takes two folders of runs, as in compare=[results/a/seed0,results/b/seed0]")
+        raise UsageError("compare takes two folders of runs, as in --compare results/a/seed0 results/b/seed0")
     one, other = (checks.path("compare", folder) for folder in folders)
     changed = checks.differences(read_run(one), read_run(other))
     print(f"{one} and {other} {'differ in' if changed else 'have the same settings'}")

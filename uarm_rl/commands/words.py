@@ -110,6 +110,8 @@ def check(words: list[str]) -> None:
     for before, word in zip(words, rest, strict=False):
         if word == "job" and before in ("-c", "--cfg"):
             continue
+        if before in ("-c", "--cfg"):
+            raise UsageError(f"{before} shows the configuration that would be used; write {before} job")
         if word.startswith("-") and word not in FLAGS:
             raise UsageError(f"{word} is no option of uarm-rl {command}; it takes name=value or --name value, -m and --help")
         if word.startswith(("+", "~")):

@@ -131,12 +131,10 @@ def _ring(image: Any, x: float, y: float) -> None:
 
 
 def check_film(path: Path, width: int, height: int) -> None:
-    """Raises :class:`ValueError` or :class:`OSError` if no film of this size can be written there, before it is begun."""
+    """Raises ``ValueError``, ``UsageError`` or ``OSError`` if no film of this size can be written there, before it is begun."""
     if path.suffix not in (".gif", ".mp4"):
         raise ValueError(f"out must end in .gif or .mp4, got {path}")
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no folder {path.parent} for {path.name}; make it first, or give another out=FILE")
-    files.check_place(path)
+    files.check_place(checks.place_of(path))
     if path.suffix == ".mp4" and not find_spec("imageio_ffmpeg"):
         raise ValueError(f"an .mp4 needs an extra; choose out=FILE.gif, or {checks.how_to_add('video')}")
     if path.suffix == ".mp4" and (width % 2 or height % 2):

@@ -20,6 +20,7 @@ import numpy as np
 import yaml
 
 from uarm_rl import checks, columns, files, locks
+from uarm_rl.checks import UsageError
 from uarm_rl.csvfile import Logbook
 from uarm_rl.files import CONFIG, HOLDER, LOCK, POLICY, PROGRESS
 from uarm_rl.learn import checkpoint
@@ -35,7 +36,7 @@ SATURATION_LIMIT: Final = 0.9
 Settings = Mapping[str, Any]
 
 
-class RunFolderError(Exception):
+class RunFolderError(UsageError):
     """The folder cannot take this run; the message is a sentence with the remedy."""
 
 
@@ -67,8 +68,8 @@ def claim(
         elif others and not resume:
             if is_finished(run_dir):
                 raise RunFolderError(
-                    f"{run_dir} already holds a finished run; results_dir=FOLDER or name=NAME puts another elsewhere, and with "
-                    "resume=true a multirun skips it"
+                    f"{run_dir} already holds a finished run; results_dir=FOLDER or name=NAME puts another elsewhere, "
+                    "overwrite=true replaces it, and with resume=true a multirun skips it"
                 )
             raise RunFolderError(
                 f"{run_dir} already holds an unfinished run; resume=true continues it, "

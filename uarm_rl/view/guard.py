@@ -47,9 +47,13 @@ _TITLE: Final = "<title>Viser</title>"
 _SCHEMES: Final = ("light", "dark")
 _ASKS: Final = r"""<script>{
   const dark = matchMedia("(prefers-color-scheme: dark)");
-  const tell = () => fetch(location.pathname.replace(/\/?$/, dark.matches ? "/dark" : "/light"));
-  dark.addEventListener("change", tell);
-  tell();
+  const tell = (waits) => {
+    const request = new XMLHttpRequest();
+    request.open("GET", location.pathname.replace(/\/?$/, dark.matches ? "/dark" : "/light"), !waits);
+    request.send();
+  };
+  dark.addEventListener("change", () => tell(false));
+  tell(true);  // before there is anything to see
 }</script>"""
 
 Handler = Callable[[Any, Request], Response | None]
@@ -133,8 +137,11 @@ class Gate:
                 if inner in _SCHEMES:
                     self.set_scheme(inner)
                     return Response(HTTPStatus.NO_CONTENT, "No Content", Headers())
-                del request.headers["Accept-Encoding"]  # packed it could not be given a title, and the way is short
-                response = handle(connection, replace(request, path=f"/{inner}{question}{query}"))
+                # Packed, the page could not be given a title, and the way is short.
+                plain = Headers(
+                    (name, value) for name, value in request.headers.raw_items() if name.lower() != "accept-encoding"
+                )
+                response = handle(connection, replace(request, path=f"/{inner}{question}{query}", headers=plain))
                 if response is not None and not inner:
                     self._name(response)
             if response is not None:

@@ -135,15 +135,17 @@ class Page:
     def draw_curve(self, title: str, x: Vector, y: Vector, unit: str) -> None:
         """Draw a curve, or draw it anew, over the episodes."""
         data = (np.asarray(x, float), np.asarray(y, float))
+        # viser's chart loses a range that it finds itself when the page turns dark, so it is told.
+        scales = {"x": viser.uplot.Scale(time=False, range=(0.0, float(data[0][-1]))), "y": viser.uplot.Scale(auto=True)}
         if title in self._curves:
-            self._curves[title].data = data
+            self._curves[title].data, self._curves[title].scales = data, scales
             return
         colour = _SERIES_RGB[len(self._curves) % len(_SERIES_RGB)]
         self._curves[title] = self._server.gui.add_uplot(
             data,
             (viser.uplot.Series(label="episode"), viser.uplot.Series(label=unit, stroke=colour, width=2)),
             title=title,
-            scales={"x": viser.uplot.Scale(time=False, auto=True), "y": viser.uplot.Scale(auto=True)},
+            scales=scales,
             aspect=2.0,
         )
 
