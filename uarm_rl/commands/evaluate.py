@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from uarm_rl import checks, columns, csvfile, files, workers
+from uarm_rl import checks, columns, csvfile, files, signals, workers
 from uarm_rl.checks import UsageError
 from uarm_rl.configuration import Settings, build, build_env, compose
 from uarm_rl.csvfile import write_rows
@@ -37,6 +37,11 @@ _NAMED = 2  # of many runs that have nothing to do
 
 def run(settings: Settings) -> None:
     """Test policies on fixed positions and write one CSV row a position."""
+    with signals.interrupt_once():  # a polite kill too lets the processes end in order
+        _run(settings)
+
+
+def _run(settings: Settings) -> None:
     workers.one_thread()
     results_dir = checks.path("results_dir", settings["results_dir"])
     changed = [

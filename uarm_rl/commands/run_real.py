@@ -103,14 +103,14 @@ def run(settings: Settings) -> None:
                 arm.on_state = live.moved
             put_down = None if told is not None else scattered(generator, within)
             results = run_trials(arm, policy, search, task, put_down, trials=trials, first=done + 1)
-            print(_HEADER, flush=True)
-            if dry_run:
+            if dry_run:  # whose commands stand between the rows
                 for trial in results:
-                    print(_line(trial.row), flush=True)
+                    print(f"{_HEADER}\n{_line(trial.row)}", flush=True)
             else:
                 emulated = is_emulated(arm.port)
                 config = settings | {"connected": {"port": arm.port, "emulated": emulated}}
                 text = yaml.safe_dump(config, sort_keys=False)
+                print(_HEADER, flush=True)
                 for row in session.record(results, folder, text, emulated=emulated, keep_rows=done):
                     print(_line(row), flush=True)
                     rows.append(row)

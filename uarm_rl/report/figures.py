@@ -181,6 +181,8 @@ def draw_budgets(
             spent.max() > _DECADE * spent[spent > 0].min()
         )  # short runs: a logarithmic axis would have no room for its numbers
         axes.set(xlabel=words, xscale="log" if wide else "linear")
+        if not wide:
+            axes.set_xlim(left=0.0)
         _success_axis(axes, "")
     figure.supylabel("Success on validation positions (%)")
     figure.supxlabel(_BAND)
