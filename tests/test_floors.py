@@ -67,6 +67,7 @@ OWNERS = {
     "websockets": ("view.guard",),
     "pandas": ("report",),
     "onnx": ("export",),
+    "ompl": ("task.planner",),
     "tqdm": ("progress",),
     "safetensors": ("task.policy", "learn.checkpoint"),
 }

@@ -129,8 +129,11 @@ def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
                 "policy=ik moves relative to the current joints and leaves the hold alone; this run has other actions"
             )
         return InverseKinematicsPolicy(settings["max_delta_rad"])
+    if name == "planner":
+        return _planner(settings)
     if name is not None:
-        raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give policy=ik")
+        known = "policy=ik, or policy=planner for a task with obstacles"
+        raise UsageError(f"policy={name} is unknown; leave it out for the run's own policy, or give {known}")
     if not (run_dir / POLICY).exists():
         raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
     policy = ActorPolicy.load(run_dir / POLICY)
@@ -138,6 +141,15 @@ def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
     if changed := checks.differences({"observation": observation_of(settings), "actions": settings["actions"]}, own):
         raise UsageError(f"{run_dir / POLICY} is not of this run: the run has {', '.join(changed)}")
     return policy
+
+
+def _planner(settings: Settings) -> Policy:
+    """The planner, with the same actions as the controller."""
+    if settings["task"]["name"] != "obstacles" or settings["actions"] != "joint":
+        raise UsageError("policy=planner goes past obstacles, relative to the current joints; this run has others, or none")
+    from uarm_rl.task.planner import PlannerPolicy
+
+    return PlannerPolicy(settings["max_delta_rad"], settings["task"]["slots"])
 
 
 def words_for(settings: Settings) -> list[str]:

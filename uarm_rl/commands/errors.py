@@ -14,7 +14,7 @@ _MISSING: Final = {
     "termios": "the emulator's ports are pseudo-terminals, which Windows does not have",
     "torch": "training needs it; pip install -c constraints.txt torch",
 }
-_ENGINES: Final = ("pybullet", "mujoco", "viser")  # their modules say it themselves
+_ENGINES: Final = ("pybullet", "mujoco", "viser", "ompl")  # their modules say it themselves
 
 
 def explain(error: Exception) -> tuple[str, int]:

@@ -10,7 +10,8 @@ Read ``env.py`` first: the Gymnasium environment, one step a decision. It stands
 - ``layouts.py``: what stands where when an attempt begins, and that there is a way
 - ``positions.py``: where the object may lie, and the committed files of positions
 
-and on it stand ``policy.py`` (a trained actor as one file, the inverse-kinematics baseline) and ``rollout.py`` (one episode).
+and on it stand ``policy.py`` (a trained actor as one file, the inverse-kinematics baseline), ``planner.py`` (a library's motion
+planner) and ``rollout.py`` (one episode).
 
-Uses no other wing; every wing uses this one. Only ``env.py`` needs Gymnasium, nothing needs torch or PyBullet.
+Uses no other wing; every wing uses this one. Only ``env.py`` needs Gymnasium and ``planner.py`` OMPL, nothing needs torch or PyBullet.
 """

@@ -190,6 +190,12 @@ class WithObstacles(PaperObservation):
         return np.concatenate((self._inner.see(look), seen.ravel()))
 
 
+def obstacles_in(observed: NDArray[Any], slots: int) -> tuple[Box, ...]:
+    """The obstacles that stand in an observation with room for ``slots``; on the table, as all are."""
+    rows = observed[len(observed) - slots * len(OBSTACLE_NAMES) :].reshape(slots, -1).astype(np.float64).tolist()
+    return tuple(Box((x, y, top / 2.0), (length, width, top)) for x, y, length, width, top in rows if top > 0.0)
+
+
 #: Each kind by its name in a configuration and on a policy's card.
 KINDS: Final[Mapping[str, type[PaperObservation]]] = {
     "paper": PaperObservation,
