@@ -13,5 +13,6 @@ Read ``env.py`` first: the Gymnasium environment, one step a decision. It stands
 and on it stand ``policy.py`` (a trained actor as one file, the inverse-kinematics baseline), ``planner.py`` (a library's motion
 planner) and ``rollout.py`` (one episode).
 
-Uses no other wing; every wing uses this one. Only ``env.py`` needs Gymnasium and ``planner.py`` OMPL, nothing needs torch or PyBullet.
+Uses no other wing; every wing uses this one. Only ``env.py`` needs Gymnasium, and ``planner.py`` OMPL;
+nothing needs torch or PyBullet.
 """
