@@ -245,6 +245,7 @@ def test_the_whole_configuration_can_be_seen(tmp_path):
         (["evaluate", "run=nowhere"], 2, ["there is no run folder nowhere"]),
         (["evaluate", "policy=magic"], 2, ["results is not a folder"]),
         (["evaluate", "policy=ik", "positions=none.csv", "out=x.csv"], 2, ["there is no file none.csv", "test, validation"]),
+        (["evaluate", "positions=none.csv"], 2, ["there is no file none.csv", "test, validation"]),
         (["report"], 2, ["results is not a folder"]),
         (["report", "results_dir=nowhere"], 2, ["nowhere is not a folder", "uarm-rl train results_dir=nowhere"]),
         (["report", "results_dir=."], 2, [". holds no run"]),

@@ -26,7 +26,7 @@ from uarm_rl.evaluation.measures import Row, measure, settled_distance_m, trace_
 from uarm_rl.files import CONFIG, POLICY
 from uarm_rl.progress import shown
 from uarm_rl.sim.servo import rise_time_s
-from uarm_rl.task import layouts
+from uarm_rl.task import layouts, positions
 from uarm_rl.task.env import dwell_steps
 from uarm_rl.trained import in_engine, load_policy, read_run
 
@@ -44,6 +44,7 @@ def run(settings: Settings) -> None:
 def _run(settings: Settings) -> None:
     workers.one_thread()
     results_dir = checks.path("results_dir", settings["results_dir"])
+    positions.check_named(str(settings["positions"]))
     changed = [
         key for key, usual in (("positions", "test"), ("object", "solid"), ("until", "success")) if settings[key] != usual
     ]

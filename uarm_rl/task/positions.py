@@ -72,18 +72,21 @@ def load_packaged(name: str, height_m: float = OBJECT_HEIGHT_M) -> Vector:
         return load(path, height_m)
 
 
+def check_named(name: str) -> None:
+    """Raises :class:`ValueError` with a sentence if there are no positions of that name, packaged or in a file."""
+    if f"{name}_positions.csv" not in FILES and not Path(name).exists():
+        names = ", ".join(file.removesuffix("_positions.csv") for file in FILES)
+        raise ValueError(f"there is no file {name}; positions takes {names} or a CSV file with x_m, y_m and z_m")
+
+
 def load_named(name: str, height_m: float = OBJECT_HEIGHT_M) -> Vector:
     """The packaged ``test``, ``validation`` or ``heldout`` positions, or those of the file ``name``; shape (n, 3).
 
     ``height_m`` is the object's, for the packaged ones. Raises :class:`ValueError` if there is neither.
     """
+    check_named(name)
     packaged = f"{name}_positions.csv"
-    if packaged in FILES:
-        return load_packaged(packaged, height_m)
-    if not Path(name).exists():
-        names = ", ".join(file.removesuffix("_positions.csv") for file in FILES)
-        raise ValueError(f"there is no file {name}; positions takes {names} or a CSV file with x_m, y_m and z_m")
-    return load(Path(name))
+    return load_packaged(packaged, height_m) if packaged in FILES else load(Path(name))
 
 
 def load(path: Path, height_m: float | None = None) -> Vector:
