@@ -61,7 +61,7 @@ INVERSE_KINEMATICS: Final = Method("IK", "ik", colour="#000000", line=(0, (1, 3)
 REAL_ARM: Final = Method("real_arm", "real_arm", "adaptive", "penalty", "#D55E00", (0, (6, 1, 1, 1, 1, 1)))
 #: Colours and lines of other runs, again and again.
 _OTHERS: Final[tuple[tuple[str, Line], ...]] = (
-    ("#56B4E9", (0, (4, 1.5))),
+    ("#56B4E9", (0, (4, 2))),
     ("#F0E442", (0, (2, 1))),
     ("#777777", (0, (5, 3, 1, 3))),
     ("#8C564B", (0, (1, 2, 1, 4))),
