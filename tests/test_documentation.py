@@ -119,7 +119,7 @@ def test_every_command_of_a_page_runs(page, place, request):
         program, *rest = words
         if program == "uarm-rl":
             check(rest)
-            if rest[0] in WAITING:
+            if rest[0] in WAITING or ("policy=planner" in rest and not find_spec("ompl")):
                 continue
             if rest[0] in ("run-real", "doctor", "jog") and "--dry-run" not in rest:
                 kept = [word for word in rest if word not in ("--port", "/dev/ttyACM0", "PATH")]
