@@ -50,7 +50,7 @@ from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.train import Schedule, Stop, Training, train
 from uarm_rl.sim.mujoco_arm import MujocoArm
 from uarm_rl.sim.simulated_arm import SimulatedArm
-from uarm_rl.task import observation, positions
+from uarm_rl.task import layouts, observation
 from uarm_rl.task.env import UArmSuctionEnv
 from uarm_rl.task.policy import InverseKinematicsPolicy
 
@@ -387,7 +387,7 @@ def refuse(number: int, error: Exception) -> None:
 
 def bench_evaluation(rounds: int) -> Iterator[Row]:
     settings = configuration.compose("train")
-    where = positions.load_packaged("test_positions.csv")
+    where = layouts.load_named("test", 0)
     reward = configuration.build("reward", settings["reward"])
 
     def run(workers: int) -> None:

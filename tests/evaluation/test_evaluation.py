@@ -11,7 +11,7 @@ from uarm_rl import configuration
 from uarm_rl.columns import MEASURED, STATE, TRACES
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure, shaking, trace_rows
-from uarm_rl.task import positions
+from uarm_rl.task import layouts, positions
 from uarm_rl.task.policy import InverseKinematicsPolicy
 from uarm_rl.task.rollout import Episode
 
@@ -24,7 +24,7 @@ def episodes(
     settings = configuration.compose("train", (f"control_hz={control_hz}",))
     make = partial(configuration.build_env, settings, time_limit_s=time_limit_s)
     policy = policy or InverseKinematicsPolicy(0.15)
-    return list(evaluate(make, policy, positions.load_named("validation")[:count], processes=workers))
+    return list(evaluate(make, policy, layouts.load_named("validation", 0)[:count], processes=workers))
 
 
 def rows(episodes: list[Episode], control_hz: int = 20) -> list[dict[str, object]]:

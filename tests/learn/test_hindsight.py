@@ -98,6 +98,6 @@ def test_only_what_touched_nothing_is_learned_from_again_and_nothing_counts_twic
 @pytest.mark.parametrize("word", ["observation=stack", "reward.pressing=-1"])
 def test_what_another_target_would_have_made_of_a_decision_must_be_known(tmp_path, word):
     settings = configuration.compose("train", ("hindsight_targets=2", word, f"results_dir={tmp_path}"))
-    with pytest.raises(UsageError, match="hindsight_targets needs an observation of one moment"):
+    with pytest.raises(UsageError, match="hindsight_targets needs task=reach, an observation of one moment"):
         commands_train.run(settings)
     assert list(tmp_path.iterdir()) == []
