@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uarm_rl import configuration
-from uarm_rl.columns import MEASURED, STATE, TRACES
+from uarm_rl.columns import MEASURED, STATE, TOUCHING, TRACES
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import measure, shaking, trace_rows
 from uarm_rl.task import layouts, positions
@@ -42,7 +42,7 @@ def test_inverse_kinematics_reaches_every_validation_position():
     result = rows(episodes(1, count=50, time_limit_s=10.0))
     assert sum(row["success"] for row in result) == 50
     for row in result:
-        assert tuple(row) == (*MEASURED, "press_m", "reference_press_m", "contact_n")
+        assert tuple(row) == (*MEASURED, "press_m", "reference_press_m", "contact_n", *TOUCHING)
         assert row["final_distance_m"] <= 0.005
         assert row["min_distance_m"] <= row["final_distance_m"]
         assert row["object_displacement_m"] < 0.005
