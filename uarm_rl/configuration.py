@@ -173,9 +173,15 @@ def build_env(
     )
 
 
+def slots_of(settings: Settings) -> int:
+    """How many obstacles the task of a whole training configuration has at the most."""
+    slots: int = build("task", settings["task"]).slots
+    return slots
+
+
 def observation_of(settings: Settings) -> dict[str, Any]:
     """What is seen, as a policy's card has it: the observation, and room for as many obstacles as the task has."""
-    slots = checks.mapping("task", settings["task"]).get("slots", 0)
+    slots = slots_of(settings)
     return checks.mapping("observation", settings["observation"]) | ({"obstacles": slots} if slots else {})
 
 
@@ -184,7 +190,7 @@ def seen(settings: Settings) -> PaperObservation:
     from uarm_rl.task.observation import WithObstacles
 
     kind: PaperObservation = build("observation", settings["observation"])
-    slots = build("task", settings["task"]).slots
+    slots = slots_of(settings)
     return WithObstacles(kind, slots) if slots else kind
 
 

@@ -86,6 +86,12 @@ def test_obstacles_are_seen_behind_the_other_numbers_and_gone_with_the_next_layo
         assert observed.shape == env.observation_space.shape == (20 + 3 + 2 * 5,)
         np.testing.assert_allclose(observed[23:], [0.21, 0.12, 0.05, 0.05, 0.12, *[0.0] * 5], atol=1e-7)
         assert not env.reset(options={"object_position": (0.2, 0.0, 0.03)})[0][23:].any()
+        far, near = [0.1, 0.25, 0.02, 0.02, 0.02, 0.04], [0.2, -0.1, 0.02, 0.02, 0.02, 0.04]
+        orders = [
+            env.reset(options={"object_position": (0.2, 0.0, 0.03), "obstacles": [*told]})[0]
+            for told in ((far, near), (near, far))
+        ]
+        np.testing.assert_array_equal(*orders)  # whichever is told first
         three = [[0.2, y, 0.02, 0.02, 0.02, 0.04] for y in (-0.1, 0.1, 0.2)]
         with pytest.raises(ValueError, match="there are 3 obstacles, and an observation has room for 2"):
             env.reset(options={"object_position": (0.2, 0.0, 0.03), "obstacles": three})

@@ -19,7 +19,7 @@ from typing import Any
 
 from uarm_rl import checks, columns, csvfile, files, signals, workers
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, compose
+from uarm_rl.configuration import Settings, build, build_env, compose, slots_of
 from uarm_rl.csvfile import write_rows
 from uarm_rl.evaluation.evaluate import evaluate
 from uarm_rl.evaluation.measures import Row, measure, settled_distance_m, trace_rows
@@ -130,7 +130,7 @@ def _evaluate_run(settings: Settings, run_dir: Path, run_settings: Settings, out
     run_settings = _under_test(settings, run_settings)
     settling = checks.one_of("until", settings["until"], ("success", "time_limit")) == "time_limit"
     thing = checks.one_of("object", settings["object"], ("solid", "ghost"))
-    slots = run_settings["task"].get("slots", 0)
+    slots = slots_of(run_settings)
     where = layouts.load_named(str(settings["positions"]), slots, run_settings["sim"]["object_size_m"])
     policy = load_policy(run_dir, settings["policy"], run_settings)
     time_limit_s = run_settings["time_limit_s"]

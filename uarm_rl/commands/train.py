@@ -26,7 +26,7 @@ import torch
 
 from uarm_rl import checks, signals, workers
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, build_env, flat, seen
+from uarm_rl.configuration import Settings, build, build_env, flat, seen, slots_of
 from uarm_rl.evaluation.evaluate import successes
 from uarm_rl.learn import driver
 from uarm_rl.learn import run as session
@@ -186,8 +186,7 @@ def _validation_env(settings: Settings) -> AbstractContextManager[UArmSuctionEnv
 
 def _validated(settings: Settings, env: UArmSuctionEnv, policy: Policy) -> Iterator[bool]:
     """Whether a policy reaches the validation positions, one after the other."""
-    slots = settings["task"].get("slots", 0)
-    return successes(env, policy, layouts.load_named("validation", slots, settings["sim"]["object_size_m"]))
+    return successes(env, policy, layouts.load_named("validation", slots_of(settings), settings["sim"]["object_size_m"]))
 
 
 def _validated_in(pool: ProcessPoolExecutor, settings: Settings, policy: Policy) -> Iterator[bool]:

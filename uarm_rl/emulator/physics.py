@@ -128,10 +128,7 @@ class World:
         joints = kinematics.from_motor_deg(*PARKED_DEG).tolist()
         for joint, angle in enumerate((*joints, kinematics.level(joints[1], joints[2]))):
             bullet.resetJointState(arm, joint, angle, physicsClientId=client)
-        for obstacle in obstacles:
-            half = [side / 2.0 for side in obstacle.size_m]
-            shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
-            bullet.createMultiBody(0.0, shape, basePosition=obstacle.centre_m, physicsClientId=client)
+        self._arm.place_obstacles(obstacles)
         bullet.changeVisualShape(box, -1, rgbaColor=(*paint, 1.0), physicsClientId=client)
         if not gui:  # a plain that fills the picture costs more to draw than all the rest
             bullet.changeVisualShape(table, -1, rgbaColor=(0.0, 0.0, 0.0, 0.0), physicsClientId=client)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from uarm_rl.task import kinematics
 from uarm_rl.task.kinematics import Vector
+from uarm_rl.task.obstacles import Box
 
 #: Red, green, blue, from 0 to 1.
 Colour = tuple[float, float, float]
@@ -258,6 +259,11 @@ def box(length_m: float, width_m: float | None = None, height_m: float | None = 
     edge = 0.06 * min(length_m, wide, high)
     x, z = length_m / 2.0 - edge, high / 2.0 - edge
     return slab([(x * one, z * other, edge) for one in (-1.0, 1.0) for other in (-1.0, 1.0)], wide, bevel=0.5 * edge)
+
+
+def obstacle(one: Box) -> Mesh:
+    """An obstacle, where it stands."""
+    return moved(box(*one.size_m), one.centre_m)
 
 
 def floor() -> Mesh:

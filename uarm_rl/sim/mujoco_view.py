@@ -63,7 +63,7 @@ class _Stage:
         self._spec, self._meshes = spec, 0
         self._draw(spec.worldbody, looks.floor(), looks.FLOOR)
         for box in obstacles:
-            self._draw(spec.worldbody, looks.moved(looks.box(*box.size_m), box.centre_m), looks.OBSTACLE)
+            self._draw(spec.worldbody, looks.obstacle(box), looks.OBSTACLE)
         bodies: dict[str, Any] = {}
         for part in looks.parts():
             if part.frame not in bodies:

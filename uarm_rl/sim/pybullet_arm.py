@@ -286,7 +286,7 @@ class _Studio:
             bullet.removeBody(self._obstacles.pop(gone)[1], physicsClientId=self._client)
         for box in obstacles:
             if box not in self._obstacles:
-                mesh = looks.moved(looks.box(*box.size_m), box.centre_m)
+                mesh = looks.obstacle(box)
                 self._obstacles[box] = mesh, self._body(mesh, looks.OBSTACLE)
             yield self._obstacles[box][0]
 

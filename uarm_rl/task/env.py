@@ -14,7 +14,7 @@ from uarm_rl import checks, columns
 from uarm_rl.task import kinematics, obstacles, positions
 from uarm_rl.task.arm import Arm, ArmError, Ghost, JointPositions, PhysicsError, Target
 from uarm_rl.task.hold import Hold
-from uarm_rl.task.layouts import Layout, Layouts, Reach
+from uarm_rl.task.layouts import Layout, Layouts, Reach, in_order
 from uarm_rl.task.observation import Look, Observation, PaperObservation
 from uarm_rl.task.reward import DistanceReward, RewardTerms
 from uarm_rl.task.within import Moment, Within, decisions_within
@@ -169,7 +169,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if object_m is None:
             layout = self._layouts.draw(self.np_random, self._object_height_m, self._link_ends[3])
         else:
-            layout = Layout(positions.within_reach("object_position", object_m), obstacles.boxes("obstacles", in_the_way))
+            told = in_order(obstacles.boxes("obstacles", in_the_way))
+            layout = Layout(positions.within_reach("object_position", object_m), told)
         if self._layouts.slots:
             self.arm.place_obstacles(layout.obstacles)
         elif layout.obstacles:

@@ -8,7 +8,7 @@ layout which a better planner could solve may be thrown away; none without a way
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -108,7 +108,7 @@ class Obstacles:
             tall_m = round(generator.uniform(*_HEIGHTS_M), 3)
             x, y = (round(radius_m * along(bearing), 3) for along in (math.cos, math.sin))
             found.append(Box((x, y, tall_m / 2.0), (length_m, width_m, tall_m)))
-        layout = Layout(object_m, tuple(sorted(found, key=lambda box: abs(math.atan2(box.centre_m[1], box.centre_m[0])))))
+        layout = Layout(object_m, in_order(found))
         return layout if not fault(layout) and _blocks(layout) else None
 
 
@@ -116,6 +116,11 @@ def _blocks(layout: Layout) -> bool:
     """Whether who goes straight to the object, in angles, goes through an obstacle."""
     straight = np.linspace(kinematics.HOME_JOINTS_RAD, kinematics.inverse(layout.object_m), _STRAIGHT)
     return bool(clearances_m(straight, layout.obstacles).min() < -_THROUGH_M)
+
+
+def in_order(obstacles: Iterable[Box]) -> tuple[Box, ...]:
+    """The obstacles as a policy sees them, those first that the arm comes by first when it turns away from home."""
+    return tuple(sorted(obstacles, key=lambda box: abs(math.atan2(box.centre_m[1], box.centre_m[0]))))
 
 
 def fault(layout: Layout) -> str:

@@ -78,7 +78,7 @@ class PlannerPolicy:
     """Goes along a planned way to above the object, and straight down onto it; where there is no way it stays.
 
     What it knows is the observation with its ``slots`` obstacles (:class:`uarm_rl.task.observation.WithObstacles`). It plans
-    anew when target or obstacles have changed.
+    anew when target or obstacles have changed, and when the arm is back at home: another attempt.
     """
 
     max_delta_rad: float
@@ -86,15 +86,18 @@ class PlannerPolicy:
     _legs: list[Vector] = field(default_factory=list)
     _target_m: Vector | None = None
     _obstacles: tuple[Box, ...] = ()
+    _away: bool = False  # from home
 
     def act(self, observed: Array) -> Array:
         joints = observed[observation.JOINTS].astype(np.float64)
         target_m = observed[observation.CUP].astype(np.float64) + observed[observation.CUP_TO_OBJECT]
         obstacles = observation.obstacles_in(observed, self.slots)
+        at_home = np.abs(joints - kinematics.HOME_JOINTS_RAD).max() < _ARRIVED_RAD
         moved = self._target_m is None or np.linalg.norm(target_m - self._target_m) > _SAME_M
-        if moved or obstacles != self._obstacles:
+        if moved or obstacles != self._obstacles or (at_home and self._away):
             self._target_m, self._obstacles = target_m, obstacles
             self._legs = self._way(joints, target_m, obstacles)
+        self._away = not at_home
         while len(self._legs) > 1 and np.abs(self._legs[0] - joints).max() < _ARRIVED_RAD:
             self._legs.pop(0)
         turn = (self._legs[0] - joints) / self.max_delta_rad

@@ -122,7 +122,7 @@ class ArmView:
             for mesh in self._standing:
                 mesh.remove()
             self._obstacles = tuple(obstacles)
-            meshes = [looks.moved(looks.box(*box.size_m), box.centre_m) for box in obstacles]
+            meshes = list(map(looks.obstacle, obstacles))
             names = [f"{self._name}/obstacle{number}" for number in range(len(meshes))]
             self._standing = [self._add_mesh(name, mesh, looks.OBSTACLE) for name, mesh in zip(names, meshes, strict=True)]
 
