@@ -106,7 +106,14 @@ CONDITIONS: Final = _columns(
     Column("tolerance_m", FINITE, "m", "how near the cup had to come", since="2026-11-22"),
     Column("hold", TEXT, "", "the hold tested with: `fixed(13)` is 13 control steps", since="2026-11-22"),
     Column("control_hz", FINITE, "1/s", "control steps a second", since="2026-11-22"),
-    Column("servo_rise_s", FINITE, "s", "the servo's rise time, 10 to 90 % of 0.15 rad", since="2026-11-22"),
+    Column(
+        "servo_rise_s",
+        FINITE,
+        "s",
+        "the servo's rise time, 10 to 90 % of 0.15 rad",
+        empty=True,
+        since="2026-11-22",
+    ),
     Column("sigma", FINITE, "1/m", "of the method's own reward: the punishment for moving the object", since="2026-11-22"),
     Column("engine", TEXT, "", "`pybullet` or `mujoco`; in older files it is PyBullet", since="2026-11-27"),
 )

@@ -36,6 +36,7 @@ OPEN_SETS: Final = {
     "hold": {
         "fixed": "uarm_rl.task.hold:FixedHold",
         "until_steady": "uarm_rl.task.hold:UntilSteady",
+        "steady_speed": "uarm_rl.task.hold:SteadySpeed",
         "learned": "uarm_rl.task.hold:LearnedHold",
     },
     "observation": {
@@ -57,6 +58,7 @@ OPEN_SETS: Final = {
         "second_order": "uarm_rl.sim.servo:SecondOrder",
         "stepper": "uarm_rl.sim.servo:Stepper",
         "instant": "uarm_rl.sim.servo:Instant",
+        "torque": "uarm_rl.sim.servo:Torque",
     },
     "sim": {"pybullet": "uarm_rl.sim.pybullet_arm:SimArm", "mujoco": "uarm_rl.sim.mujoco_arm:MujocoArm"},
     "cup": {"rigid": "uarm_rl.sim.cup:rigid", "bellows": "uarm_rl.sim.cup:Bellows"},
@@ -165,12 +167,29 @@ def build_env(
         keep_within=keep_within,
         observation=seen(settings),
         layouts=build("task", settings["task"]),
-        actions=settings["actions"],
+        actions=actions_of(settings),
         tightest_m=settings["tightest_m"],
         render_mode=render_mode,
         render_modes=("rgb_array", "rgb_array_list", *(("human",) if arm.has_screen() or sim["gui"] else ())),
         take_picture=partial(arm.render, *picture_size) if picture_size else arm.scene,
     )
+
+
+def actions_of(settings: Settings) -> str:
+    """What the actions of a whole training configuration are.
+
+    Raises :class:`UsageError` if its servo cannot take them, or its observation tells of a reference that there is none of.
+    """
+    actions: str = settings["actions"]
+    if (servo := checks.mapping("servo", settings["servo"]).get("name")) != "torque":
+        if actions == "torque":
+            raise UsageError(f"actions=torque needs servo=torque; servo={servo} is told where to go")
+        return actions
+    if actions not in ("joint", "torque"):
+        raise UsageError(f"with servo=torque an action is a torque, which is relative to nothing; leave actions={actions} out")
+    if checks.mapping("observation", settings["observation"]).get("name") == "reference":
+        raise UsageError("with servo=torque no reference is pending; take another observation, such as velocity")
+    return "torque"
 
 
 def slots_of(settings: Settings) -> int:

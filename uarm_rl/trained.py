@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from uarm_rl import checks, files
 from uarm_rl.checks import UsageError
-from uarm_rl.configuration import Settings, build, choices, compose, groups_of, observation_of
+from uarm_rl.configuration import Settings, actions_of, build, choices, compose, groups_of, observation_of
 from uarm_rl.files import CONFIG, POLICY
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ def policy_card(settings: Settings) -> PolicyCard:
         **{
             key: settings[key]
             for key in ("max_delta_rad", "control_hz", "servo", "cup", "tolerance_m", "dwell_s", "episodes", "seed")
-            + ("actions",)
         },
+        actions=actions_of(settings),
         observation=observation_of(settings),
         hold=settings["buffer"]["hold"],
         buffer=settings["buffer"]["name"],
@@ -124,7 +124,7 @@ def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
     from uarm_rl.task.policy import ActorPolicy, InverseKinematicsPolicy
 
     if name == "ik":
-        if settings["actions"] != "joint" or settings["buffer"]["hold"]["name"] == "learned":
+        if actions_of(settings) != "joint" or settings["buffer"]["hold"]["name"] == "learned":
             raise UsageError(
                 "policy=ik moves relative to the current joints and leaves the hold alone; this run has other actions"
             )
@@ -138,14 +138,14 @@ def load_policy(run_dir: Path, name: str | None, settings: Settings) -> Policy:
         raise UsageError(f"{run_dir} holds no {POLICY}: its training is not finished; continue it with resume=true")
     policy = ActorPolicy.load(run_dir / POLICY)
     own = {"observation": policy.card.observation, "actions": policy.card.actions}
-    if changed := checks.differences({"observation": observation_of(settings), "actions": settings["actions"]}, own):
+    if changed := checks.differences({"observation": observation_of(settings), "actions": actions_of(settings)}, own):
         raise UsageError(f"{run_dir / POLICY} is not of this run: the run has {', '.join(changed)}")
     return policy
 
 
 def _planner(settings: Settings) -> Policy:
     """The planner, with the same actions as the controller."""
-    if settings["task"]["name"] != "obstacles" or settings["actions"] != "joint":
+    if settings["task"]["name"] != "obstacles" or actions_of(settings) != "joint":
         raise UsageError("policy=planner goes past obstacles, relative to the current joints; this run has others, or none")
     from uarm_rl.task.planner import PlannerPolicy
 

@@ -25,6 +25,7 @@ KINDS = {
     "reference": (("observation=reference", "actions=reference"), 23, 3, ""),
     "stack": (("observation=stack", "observation.frames=2"), 40, 3, ""),
     "absolute": (("actions=absolute",), 20, 3, "any place in one move"),
+    "torque": (("servo=torque", "observation=velocity"), 23, 3, "the policy commands torques"),
     "obstacles": (("task=obstacles", "name=past", "reward=plain"), 35, 3, ""),
     "learned": (("buffer=learned_hold", "agent.gamma_per=control_step"), 20, 4, "how long a command acts"),
 }
@@ -59,7 +60,7 @@ def test_a_policy_of_every_kind_is_trained_tested_filmed_and_judged_for_the_arm(
             check_policy(policy.card, 0.25)
     else:
         assert len(check_policy(policy.card, 0.25)) == 3  # another servo, a rigid cup, and no waiting
-    if kind in ("absolute", "learned"):
+    if kind in ("absolute", "learned", "torque"):
         with pytest.raises(UsageError, match="policy=ik moves relative to the current joints"):
             trained.load_policy(run, "ik", settings)
     capsys.readouterr()

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uarm_rl.task.hold import FixedHold, UntilSteady
+from uarm_rl.task.hold import FixedHold, SteadySpeed, UntilSteady
 
 
 @pytest.mark.parametrize(
@@ -25,13 +25,20 @@ from uarm_rl.task.hold import FixedHold, UntilSteady
 )
 def test_until_steady(control_steps, travel_rad, releases):
     hold = UntilSteady(steady_threshold_rad=0.002, min_control_steps=2, max_control_steps=10)
-    assert hold.releases(control_steps, travel_rad) is releases
+    assert hold.releases(control_steps, travel_rad, 1.0) is releases
+
+
+@given(st.integers(1, 12), st.floats(0, 0.01), st.floats(0, 0.01))
+def test_a_steady_speed_is_judged_as_a_steady_place_is(control_steps, travel_rad, change_rad):
+    settings = {"steady_threshold_rad": 0.002, "min_control_steps": 2, "max_control_steps": 10}
+    place, speed = UntilSteady(**settings), SteadySpeed(**settings)
+    assert speed.releases(control_steps, travel_rad, change_rad) is place.releases(control_steps, change_rad, travel_rad)
 
 
 @given(st.integers(1, 50), st.floats(0, 1))
 def test_fixed_hold_looks_at_the_clock_alone(control_steps, travel_rad):
-    assert FixedHold(1).releases(control_steps, travel_rad)
-    assert FixedHold(7).releases(control_steps, travel_rad) is (control_steps >= 7)
+    assert FixedHold(1).releases(control_steps, travel_rad, 0.0)
+    assert FixedHold(7).releases(control_steps, travel_rad, 0.0) is (control_steps >= 7)
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_each_is_commanded_rewarded_and_timed_from_where_the_arm_was(make_env, e
 def moments(*travels: float, joints: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[Moment]:
     """A control step each, in which the arm moved by so much and the cup by a millimetre."""
     return [
-        Moment(np.zeros(20), joints, (0.2, 0.0, 0.1 - step / 1000), (0.2, 0.0, 0.03), step / 100, travel, step)
+        Moment(np.zeros(20), joints, (0.2, 0.0, 0.1 - step / 1000), (0.2, 0.0, 0.03), step / 100, travel, travel, step)
         for step, travel in enumerate(travels, 1)
     ]
 

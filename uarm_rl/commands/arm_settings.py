@@ -165,6 +165,8 @@ def _beyond_the_arm(card: PolicyCard) -> str:
 
     The last action and the pending reference are the computer's own commands, and a stack is made of looks that there are.
     """
+    if card.actions == "torque":
+        return "the policy commands torques (servo=torque), and this arm's firmware takes none, only places to go to"
     if card.observation["name"] == "velocity":
         return (
             "the policy sees the velocity of the joints (observation=velocity), which this arm does not tell, "

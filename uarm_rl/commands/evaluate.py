@@ -182,13 +182,17 @@ def _under_test(settings: Settings, run_settings: Settings) -> Settings:
     return in_engine(run_settings | changed, settings.get("sim"))
 
 
+def _rise_time_s(servo: Settings) -> float | None:
+    return None if servo["name"] == "torque" else rise_time_s(build("servo", servo))
+
+
 def _conditions(run_settings: Settings) -> Row:
     """Under which conditions a policy is tested, with keys of ``columns.EVALUATION``."""
     return {
         "tolerance_m": run_settings["tolerance_m"],
         "hold": str(build("hold", run_settings["buffer"]["hold"])),
         "control_hz": run_settings["control_hz"],
-        "servo_rise_s": rise_time_s(build("servo", run_settings["servo"])),
+        "servo_rise_s": _rise_time_s(run_settings["servo"]),
         "sigma": run_settings["reward"]["sigma"],
         "cup": run_settings["cup"]["name"],
         "engine": run_settings["sim"]["name"],

@@ -306,14 +306,13 @@ def _learner(settings: Settings) -> Learner:
             reward=build("reward", settings["reward"]),
             object_height_m=settings["sim"]["object_size_m"],
             generator=draws,
+            slots=slots_of(settings),
         ),
     )
 
 
 def _check_hindsight(settings: Settings) -> None:
     """Raises :class:`UsageError` where a decision does not hold what another target would have made of it."""
-    told = settings["observation"]["name"] == "stack" or settings["reward"]["pressing"] or settings["task"]["name"] != "reach"
+    told = settings["observation"]["name"] == "stack" or settings["reward"]["pressing"]
     if settings["hindsight_targets"] and told:
-        raise UsageError(
-            "hindsight_targets needs task=reach, an observation of one moment, not stack, and a reward without pressing"
-        )
+        raise UsageError("hindsight_targets needs an observation of one moment, not stack, and a reward without pressing")

@@ -23,9 +23,10 @@ METADATA: Final = "uarm-rl"
 
 #: What an action asks for, by what it is relative to.
 _MEANINGS: Final = {
-    "joint": "its angle now plus max_delta_rad times its action",
-    "reference": "its last reference plus max_delta_rad times its action",
-    "absolute": "the middle of its limits plus half their distance times its action",
+    "joint": "a joint's reference is its angle now plus max_delta_rad times its action, cut at the joint's limits",
+    "reference": "a joint's reference is its last one plus max_delta_rad times its action, cut at the joint's limits",
+    "absolute": "a joint's reference is the middle of its limits plus half their distance times its action",
+    "torque": "a joint's torque is its action times torque_nm of the servo",
 }
 
 
@@ -46,7 +47,7 @@ def description(policy: ActorPolicy) -> dict[str, Any]:
             "type": "float32",
             "shape": ["batch", card.outputs],
             "range": [-1.0, 1.0],
-            "meaning": f"a joint's reference is {_MEANINGS[card.actions]}, cut at the joint's limits",
+            "meaning": _MEANINGS[card.actions],
             "numbers": [*joints, *duration],
         },
         "frame": "base of the arm: x ahead, y to the left, z up; metres and radians",

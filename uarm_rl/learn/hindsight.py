@@ -5,7 +5,9 @@ decision that was carried out tells what it would have been worth for any other 
 vector from the cup to the object told anew, and the reward that equation (4) has for it. The arm is simulated once and learned
 from many times, and where it is simulated slowly that is what counts.
 
-It is right where nothing was touched. A decision in which the cup met the object, or moved it, stands for itself alone. At a
+It is right where the object was not touched. A decision in which the cup met the object, or moved it, stands for itself alone;
+an obstacle that was touched is touched whatever the target, and costs the same. Where none was, the decision tells of other
+obstacles too, those of another experience, if the whole arm would have gone clear of them. At a
 target that is made up there is nothing solid, as with ``ghost_share``; what an object does to the arm only the true decisions
 tell. Nor is it known for how long the cup would have been near enough, so no such decision ends in success: it is worth what
 staying there is worth, which differs by the few millimetres within the tolerance.
@@ -24,7 +26,8 @@ from uarm_rl import checks
 from uarm_rl.learn.returns import Transition
 from uarm_rl.task import positions
 from uarm_rl.task.kinematics import Vector
-from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG
+from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG, JOINTS, OBSTACLE_NAMES, obstacles_in
+from uarm_rl.task.obstacles import way_clearances_m
 from uarm_rl.task.reward import DistanceReward
 
 Array = NDArray[np.float32]
@@ -33,6 +36,10 @@ Array = NDArray[np.float32]
 #: to stop there to the millimetre is learned from near ones, which chance seldom gives.
 _NEAR: Final = 0.5
 _NEAREST_M, _FARTHEST_M = 0.001, 0.15
+
+_OTHERS: Final = 0.5  # the share of the made-up decisions that are told with other obstacles
+_OVERSHOT: Final = 0.2  # of a way in angles: a servo swings beyond its end, and back beyond its beginning
+_STEP_RAD: Final = 0.05
 
 _SETTLING_M: Final = 1e-4  # an object that was put down settles by some hundredths of a millimetre
 
@@ -46,32 +53,57 @@ class Hindsight:
     """Makes ``targets`` further transitions of each decision; none if that is 0.
 
     ``generator`` draws the targets, within the operating range as the task's own: half of them uniformly, half about the cup,
-    at a distance that is drawn log-uniformly.
+    at a distance that is drawn log-uniformly. ``slots``: how many obstacles an observation has room for.
     """
 
-    def __init__(self, *, targets: int, reward: DistanceReward, object_height_m: float, generator: np.random.Generator) -> None:
+    def __init__(
+        self,
+        *,
+        targets: int,
+        reward: DistanceReward,
+        object_height_m: float,
+        generator: np.random.Generator,
+        slots: int = 0,
+    ) -> None:
+        self._slots = slots
         self._targets = checks.integer("hindsight_targets", targets, low=0, high=1000)
         self._reward = reward
         self._object_height_m = object_height_m
         self._generator = generator
 
-    def of(self, decision: Transition) -> list[Transition]:
-        """The same decision with other targets. Its ``discount`` is that of a decision which ends nothing."""
+    def of(self, decision: Transition, touching: float = 0.0, seen: Array | None = None) -> list[Transition]:
+        """The same decision with other targets. Its ``discount`` is that of a decision which ends nothing.
+
+        ``touching``: what its reward has for an obstacle that was touched. ``seen``: observations, shape (n, size), in
+        which other obstacles stand; without them it is told with its own.
+        """
         cup, next_cup = decision.observation[CUP].tolist(), decision.next_observation[CUP].tolist()
         made = []
         for _ in range(self._targets):
             target = self._near(next_cup) if self._generator.random() < _NEAR else None
             if target is None:
                 target = positions.draw(self._generator, self._object_height_m)
-            place = target.tolist()
+            place, others = target.tolist(), None
+            if self._slots and seen is not None and len(seen) and touching == 0.0 and self._generator.random() < _OTHERS:
+                others = self._others(decision, seen[self._generator.integers(len(seen))])
             made.append(
                 decision._replace(
-                    observation=_told(decision.observation, target),
-                    reward=self._reward(cup, place, next_cup, place).total,
-                    next_observation=_told(decision.next_observation, target),
+                    observation=_told(decision.observation, target, others),
+                    reward=self._reward(cup, place, next_cup, place, touching=touching).total,
+                    next_observation=_told(decision.next_observation, target, others),
                 )
             )
         return made
+
+    def _others(self, decision: Transition, seen: Array) -> Array | None:
+        """The obstacles of another observation, as they stand in it; none if the arm would have come to them on its way."""
+        start, end = (one[JOINTS].astype(np.float64) for one in (decision.observation, decision.next_observation))
+        beyond = _OVERSHOT * (end - start)
+        obstacles = obstacles_in(seen, self._slots)
+        way = (start - beyond).tolist(), (end + beyond).tolist()
+        if way_clearances_m(*way, obstacles, _STEP_RAD).min() <= 0.0:
+            return None
+        return seen[-self._slots * len(OBSTACLE_NAMES) :]
 
     def _near(self, cup_m: list[float]) -> Vector | None:
         """A target about the cup; none if the one that was drawn is out of range."""
@@ -82,9 +114,11 @@ class Hindsight:
         return target if positions.in_operating_range(target) else None
 
 
-def _told(observation: Array, target_m: Vector) -> Array:
-    """What would have been observed with the object there."""
+def _told(observation: Array, target_m: Vector, obstacles: Array | None) -> Array:
+    """What would have been observed with the object there, and with other ``obstacles`` if there are some."""
     told: Array = observation.copy()
     told[CUP_TO_OBJECT] = target_m - observation[CUP]
     told[FLAG] = 0.0
+    if obstacles is not None:
+        told[-len(obstacles) :] = obstacles
     return told

@@ -65,7 +65,7 @@ class Learner:
     def take(self, observation: Array, action: Array, step: Step) -> None:
         """Take in what came of a decision: it counts as an experience if it may enter, and then its control steps enter too.
 
-        So does what it says of other targets, if nothing was touched in it.
+        So does what it says of other targets, if the object was not touched in it.
         """
         next_observation, reward, terminated, truncated, info = step
         returns = self.agent.returns
@@ -87,7 +87,7 @@ class Learner:
             )
             if self.hindsight and not terminated and not touched(info):
                 free = Transition(observation, action, reward, next_observation, returns.discount(info["control_steps"]))
-                self._store(self.hindsight.of(free))
+                self._store(self.hindsight.of(free, info["reward_touching"], self.replay.observations))
             self.counters.experiences += 1
         else:
             self.end_chain()

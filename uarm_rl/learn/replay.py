@@ -59,6 +59,11 @@ class ReplayBuffer:
     def __len__(self) -> int:
         return min(self.added, self.capacity)
 
+    @property
+    def observations(self) -> Array:
+        """Those that are stored, shape (n, observation_size), before each decision; a view."""
+        return self.rows[: len(self), self.fields[0]]
+
     def add(self, transition: Transition) -> None:
         """Store one transition in the place of the oldest."""
         row = self.rows[self.added % self.capacity]

@@ -183,6 +183,10 @@ class SwiftArm:
         self.wait_until_idle()
         self._move(reference_rad, single_step=True)
 
+    def command_torques(self, shares: Sequence[float]) -> None:
+        """Raises :class:`ArmError`: the firmware takes no torques."""
+        raise ArmError("this arm's firmware takes no torques, only places to go to")
+
     def advance(self) -> int:
         """Wait until the arm stands still, or if it does already one control period; returns the periods that passed."""
         began_s = self._link.now_s()

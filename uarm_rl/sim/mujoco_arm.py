@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from uarm_rl.sim.cup import Bellows
 from uarm_rl.sim.mujoco_view import View, Window, mujoco
-from uarm_rl.sim.servo import Servo
+from uarm_rl.sim.servo import Servo, Torque
 from uarm_rl.sim.simulated_arm import (
     CAMERA,
     PARKED_M,
@@ -19,6 +19,7 @@ from uarm_rl.sim.simulated_arm import (
     TABLE_HALF_EXTENTS_M,
     TORQUES_NM,
     Camera,
+    Chain,
     ObjectPose,
     Scene,
     SimulatedArm,
@@ -34,7 +35,7 @@ __all__ = ["MujocoArm", "mjcf"]
 _OLDEST: Final = (3, 8)
 _JOINTS: Final = ("joint1", "joint2", "joint3", "joint4")
 _LIP: Final = "lip"
-_SLACK_N: Final = 1e-6  # what the lip pushes with when nothing presses it: a row of the solver must not come and go
+_SLACK_N: Final = 1e-6  # what a lip or a motor that has nothing to push with has: a row of the solver must not come and go
 _ARM, _TABLE, _OBJECT, _OBSTACLE = 1, 2, 4, 8  # bits of what a shape is, and of what it touches
 _TOUCHES_TABLE: Final = ("link4", "cup")  # the others stand or hang above it whatever the joints do
 _CONTACT_IMPEDANCE: Final = (0.999, 0.999, 0.001, 0.5, 2.0)  # MuJoCo's usual 0.95 lets the cup 4 mm into the box
@@ -110,7 +111,7 @@ class MujocoArm(SimulatedArm):
 
     def __init__(
         self,
-        servo: Servo,
+        servo: Servo | Torque,
         *,
         control_hz: int,
         physics_hz: int,
@@ -151,6 +152,7 @@ class MujocoArm(SimulatedArm):
         self._model, self._data = model, mujoco.MjData(model)
         data = self._data
         self._angles, self._speeds, self._first_guess = data.qpos[:driven], data.qvel[:driven], data.qacc_warmstart[:driven]
+        self._joined = model.jnt_bodyid[:3]
         self._links = [model.body(name).id for name in ("link2", "link3", "link4")]
         self._cup = model.site("cup").id
         self._touching = {model.geom("cup").id, model.geom("object").id}
@@ -202,7 +204,7 @@ class MujocoArm(SimulatedArm):
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
         self._angles[:4] = self._start()
-        mujoco.mj_kinematics(model, data)
+        self._look()
 
     def read_joints(self) -> JointPositions:
         q1, q2, q3 = self._angles[:3].tolist()
@@ -210,12 +212,15 @@ class MujocoArm(SimulatedArm):
 
     def advance(self) -> int:
         model, data, dt = self._model, self._data, self._dt_s
-        angles, speeds, first_guess, motor_velocities = self._angles, self._speeds, self._first_guess, self._motor_velocities
-        bellows = self._bellows
+        angles, speeds, first_guess, drive = self._angles, self._speeds, self._first_guess, self._drive
+        bellows, told = self._bellows, isinstance(self._servo, Torque)
         for _ in range(self._steps_per_control):
             v1, v2, v3, v4, *lip_speed = speeds.tolist()
             q1, q2, q3, q4, *lip = angles.tolist()
-            asked = w1, w2, w3, w4 = motor_velocities((q1, q2, q3, q4), (v1, v2, v3, v4))
+            asked, torques_nm = drive((q1, q2, q3, q4), (v1, v2, v3, v4))
+            w1, w2, w3, w4 = asked
+            if told:
+                model.dof_frictionloss[:4] = [max(torque, _SLACK_N) for torque in torques_nm]
             if bellows is not None:
                 velocity, force = bellows.push(lip[0])
                 model.dof_frictionloss[4] = max(force, _SLACK_N)
@@ -240,7 +245,12 @@ class MujocoArm(SimulatedArm):
             self._build()
             for name in ("qpos", "qvel", "qacc_warmstart"):
                 getattr(self._data, name)[:] = getattr(before, name)
-            mujoco.mj_kinematics(self._model, self._data)
+            self._look()
+
+    def _look(self) -> None:
+        """Take note of where the arm is: links, and centres of mass."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
 
     def touch_n(self) -> float:
         return self._force_n(self._parts, self._in_the_way) if self._in_the_way else 0.0
@@ -266,6 +276,13 @@ class MujocoArm(SimulatedArm):
                 mujoco.mj_contactForce(model, data, number, force)
                 total += float(force[0])
         return total
+
+    def _held_nm(self, joints: Chain) -> JointPositions:
+        model, data, bodies = self._model, self._data, self._joined
+        arms = data.subtree_com[bodies] - data.xanchor[:3]  # as they were before the last physics step
+        moments = np.cross(arms, model.body_subtreemass[bodies, np.newaxis] * model.opt.gravity)
+        one, two, three = (-np.sum(data.xaxis[:3] * moments, axis=1)).tolist()
+        return one, two, three
 
     def link_ends(self) -> Vector:
         mujoco.mj_kinematics(self._model, self._data)

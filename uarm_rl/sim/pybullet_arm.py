@@ -18,7 +18,7 @@ from uarm_rl import checks
 from uarm_rl.sim import looks
 from uarm_rl.sim.backdrop import Backdrop, posed
 from uarm_rl.sim.cup import Bellows
-from uarm_rl.sim.servo import Servo
+from uarm_rl.sim.servo import Servo, Torque
 from uarm_rl.sim.simulated_arm import (
     CAMERA,
     OBJECT_COLOUR,
@@ -28,6 +28,7 @@ from uarm_rl.sim.simulated_arm import (
     TABLE_COLOUR,
     TABLE_HALF_EXTENTS_M,
     Camera,
+    Chain,
     ObjectPose,
     Scene,
     SimulatedArm,
@@ -90,7 +91,7 @@ class SimArm(SimulatedArm):
 
     def __init__(
         self,
-        servo: Servo,
+        servo: Servo | Torque,
         *,
         control_hz: int,
         physics_hz: int,
@@ -191,12 +192,12 @@ class SimArm(SimulatedArm):
         return states[0][0], states[1][0], states[2][0]
 
     def advance(self) -> int:
-        client, arm, motor_velocities = self._client, self._arm, self._motor_velocities
-        driven, bellows, torques_nm = self._driven, self._bellows, self.torques_nm
+        client, arm, drive = self._client, self._arm, self._drive
+        driven, bellows = self._driven, self._bellows
         for _ in range(self._steps_per_control):
             one, two, three, four, *lip = bullet.getJointStates(arm, driven, physicsClientId=client)
             joints, velocities = (one[0], two[0], three[0], four[0]), (one[1], two[1], three[1], four[1])
-            asked = motor_velocities(joints, velocities)
+            asked, torques_nm = drive(joints, velocities)
             speeds: tuple[float, ...] = asked
             forces: tuple[float, ...] = torques_nm
             if bellows is not None:
@@ -237,6 +238,12 @@ class SimArm(SimulatedArm):
     def contact_n(self) -> float:
         contacts = bullet.getContactPoints(self._arm, self._object, _CUP, physicsClientId=self._client)
         return float(sum(contact[9] for contact in contacts))
+
+    def _held_nm(self, joints: Chain) -> JointPositions:
+        at = [*joints, self.compression_m()] if self._bellows else [*joints]
+        still = [0.0] * len(at)
+        held = bullet.calculateInverseDynamics(self._arm, at, still, still, physicsClientId=self._client)
+        return held[0], held[1], held[2]
 
     def link_ends(self) -> Vector:
         states = bullet.getLinkStates(self._arm, (1, 2, 3, _CUP), computeForwardKinematics=True, physicsClientId=self._client)

@@ -1,7 +1,7 @@
-"""How the simulated joints respond to a command: three models behind one small interface.
+"""How the simulated joints respond to a command: three models behind one small interface, and motors without a controller.
 
 A servo answers, before every physics step, with the joint velocities that its controller asks of the motors; the
-motors, with limited torque, then meet gravity and contact in PyBullet. Joints are joint1..joint3, radians, rad/s.
+motors, with limited torque, then meet gravity and contact in the engine. Joints are joint1..joint3, radians, rad/s.
 """
 
 from __future__ import annotations
@@ -180,3 +180,34 @@ class Stepper:
             self._moves.popleft()
         q1, q2, q3 = joints
         return (p1 - q1) / dt, (p2 - q2) / dt, (p3 - q3) / dt
+
+
+class Torque:
+    """No controller: a command is a torque for each joint, as a share of ``torque_nm``, and acts until the next one.
+
+    A motor that stands gives what it is told, one that turns less, in a straight line down to nothing at
+    ``no_load_speed_rad_s``: what it is told of its whole torque is the share of that speed at which it ends up, where nothing
+    else acts. With ``gravity_compensation`` it holds the arm's weight besides. It never has more than ``torque_nm``.
+    """
+
+    def __init__(self, *, torque_nm: float, no_load_speed_rad_s: float, gravity_compensation: bool) -> None:
+        self._torque_nm = checks.number("servo.torque_nm", torque_nm, low=0.0, high=100.0, open_low=True)
+        speed = checks.number("servo.no_load_speed_rad_s", no_load_speed_rad_s, low=0.0, high=100.0, open_low=True)
+        self._braking = self._torque_nm / speed
+        self.gravity_compensation = checks.boolean("servo.gravity_compensation", gravity_compensation)
+        self._told = (0.0, 0.0, 0.0)
+
+    def reset(self, joints: JointPositions) -> None:
+        """With nothing told."""
+        self._told = (0.0, 0.0, 0.0)
+
+    def command(self, shares: JointPositions, joints: JointPositions) -> None:
+        """Accept new torques, each as a share of ``torque_nm`` from -1 to 1."""
+        one, two, three = shares
+        self._told = self._torque_nm * one, self._torque_nm * two, self._torque_nm * three
+
+    def torques_nm(self, velocity: JointPositions, held_nm: JointPositions) -> JointPositions:
+        """What the motors give at these velocities (rad/s); ``held_nm``: what holds the arm's weight, or nothing."""
+        (t1, t2, t3), (v1, v2, v3), (h1, h2, h3), most = self._told, velocity, held_nm, self._torque_nm
+        t1, t2, t3 = t1 - self._braking * v1 + h1, t2 - self._braking * v2 + h2, t3 - self._braking * v3 + h3
+        return max(-most, min(most, t1)), max(-most, min(most, t2)), max(-most, min(most, t3))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.sim.cup import Bellows
-from uarm_rl.sim.servo import Servo
+from uarm_rl.sim.servo import Servo, Torque
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions, PhysicsError
 from uarm_rl.task.kinematics import Vector
@@ -39,6 +39,8 @@ PARKED_M: Final = (0.0, 0.6)  # the object's place, on the table and out of reac
 
 _SLACK_RAD = 0.1  # contact may push a joint past its limit by a little, never by this much
 _EXPLODED_RAD_S = 1e3
+_STOP_NM = 100.0  # with which a joint is stopped at its limit, where no controller does it
+_FREE_RAD_S = 100.0  # faster than a motor turns by its torque in a physics step
 _RESTING_M = 1e-3  # a position may be so far from what an object that lies on the table has
 _LOST_TILT = math.cos(math.radians(30.0))
 
@@ -121,7 +123,7 @@ class SimulatedArm(ABC):
 
     def __init__(
         self,
-        servo: Servo,
+        servo: Servo | Torque,
         *,
         control_hz: int,
         physics_hz: int,
@@ -200,6 +202,10 @@ class SimulatedArm(ABC):
         """Ends of link1, link2, link3 and the cup as the engine has them, shape (4, 3), m."""
 
     @abstractmethod
+    def _held_nm(self, joints: Chain) -> JointPositions:
+        """The torques of joint1..joint3 that hold the arm's weight in a pose."""
+
+    @abstractmethod
     def compression_m(self) -> float:
         """How far the bellows are pressed together; 0 for a rigid cup."""
 
@@ -227,14 +233,46 @@ class SimulatedArm(ABC):
         return joint1, joint2, joint3, kinematics.level(joint2, joint3)
 
     def command_joints(self, reference_rad: Sequence[float]) -> None:
+        if isinstance(self._servo, Torque):
+            raise ArmError("this arm is told torques (servo=torque), not where to go")
         joint1, joint2, joint3 = reference_rad
         self._servo.command((joint1, joint2, joint3), self.read_joints())
 
-    def _motor_velocities(self, joints: Chain, velocities: Chain) -> Chain:
-        """What the motors are asked for over the next physics step, rad/s."""
+    def command_torques(self, shares: Sequence[float]) -> None:
+        if not isinstance(self._servo, Torque):
+            raise ArmError("this arm is told where to go, not with what torque; servo=torque makes one that is")
+        one, two, three = shares
+        self._servo.command((one, two, three), self.read_joints())
+
+    def _drive(self, joints: Chain, velocities: Chain) -> tuple[Chain, Chain]:
+        """What the motors are asked for over the next physics step, rad/s, and the torque that each has for it, N m."""
+        if isinstance(self._servo, Torque):
+            return self._push(self._servo, joints, velocities)
+        return self._motor_velocities(self._servo, joints, velocities), self.torques_nm
+
+    def _push(self, servo: Torque, joints: Chain, velocities: Chain) -> tuple[Chain, Chain]:
+        """As :meth:`_drive`, of motors that have a torque and no controller: any speed will do that this torque comes to.
+
+        A joint that would leave its limits in this step is stopped there, and joint4 keeps the cup upright, as the rods do.
+        """
+        dt = self._dt_s
+        torques = servo.torques_nm(velocities[:3], self._held_nm(joints) if servo.gravity_compensation else (0.0, 0.0, 0.0))
+        one, two, three = (joint + speed * dt for joint, speed in zip(joints[:3], velocities[:3], strict=True))
+        stops = kinematics.clip_to_limits(one, two, three)
+        asked, force = [], []
+        for joint, going, stop, torque in zip(joints[:3], (one, two, three), stops, torques, strict=True):
+            free = going == stop
+            asked.append(math.copysign(_FREE_RAD_S, torque) if free else (stop - joint) / dt)
+            force.append(abs(torque) if free else _STOP_NM)
+        a1, a2, a3 = asked
+        f1, f2, f3 = force
+        return (a1, a2, a3, (kinematics.level(stops[1], stops[2]) - joints[3]) / dt), (f1, f2, f3, self.torques_nm[3])
+
+    def _motor_velocities(self, servo: Servo, joints: Chain, velocities: Chain) -> Chain:
+        """What a servo asks the motors for over the next physics step, rad/s."""
         dt = self._dt_s
         q1, q2, q3, q4 = joints
-        v1, v2, v3 = self._servo.velocity((q1, q2, q3), velocities[:3], dt)
+        v1, v2, v3 = servo.velocity((q1, q2, q3), velocities[:3], dt)
         # The limits act as mechanical stops: no joint is driven past them, the coupled one included.
         n1, n2, n3 = kinematics.clip_to_limits(q1 + v1 * dt, q2 + v2 * dt, q3 + v3 * dt)
         return (n1 - q1) / dt, (n2 - q2) / dt, (n3 - q3) / dt, (kinematics.level(n2, n3) - q4) / dt

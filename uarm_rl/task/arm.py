@@ -36,6 +36,13 @@ class Arm(Protocol):
         """Give the servo a new reference, inside the joint limits."""
         ...
 
+    def command_torques(self, shares: Sequence[float]) -> None:
+        """Give the motors of joint1..joint3 torques, each as a share of what it has, from -1 to 1.
+
+        Raises :class:`ArmError` where an arm takes none.
+        """
+        ...
+
     def advance(self) -> int:
         """Let time pass, a control step if the arm can; returns how many passed, at least 1.
 

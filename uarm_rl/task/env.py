@@ -22,7 +22,8 @@ from uarm_rl.task.within import Moment, Within, decisions_within
 ACTION_SIZE: Final = 3
 
 #: What an action of the joints is relative to.
-ACTIONS: Final = ("joint", "reference", "absolute")
+ACTIONS: Final = ("joint", "reference", "absolute", "torque")
+_A_LITTLE_RAD: Final = 1e-3  # so far a torque is taken to go, where it is asked whether a limit is in its way
 
 _LONGEST_S: Final = 3600.0
 _OPTIONS: Final = ("object_position", "obstacles", "home", "ghost", "tolerance_m")
@@ -33,9 +34,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     *Observation*: 20 numbers or more, see ``observation``. *Action*: 3 numbers in [-1, 1], times ``max_delta_rad`` the
     difference between reference and current position of joint1..joint3; with ``actions="reference"`` that between reference
-    and last reference, with ``"absolute"`` -1 and 1 are each joint's own limits. References are cut at the joint limits. A
-    hold that is learned takes a fourth number. *Step*: the reference acts until ``hold`` releases it. *Reward*: ``reward``,
-    equation (4) of the paper.
+    and last reference, with ``"absolute"`` -1 and 1 are each joint's own limits. References are cut at the joint limits.
+    With ``"torque"`` there are none: the numbers are shares of the motors' torque. A hold that is learned takes a fourth
+    number. *Step*: the command acts until ``hold`` releases it. *Reward*: ``reward``, equation (4) of the paper.
 
     ``layouts`` is what may stand where: an object alone, or obstacles too, which are then behind the other numbers of the
     observation. One that is drawn begins at home.
@@ -190,7 +191,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._press_m = self._contact_n = touch_n = 0.0
         lost = timed_out = released = exploded = False
         while not (self._flag or lost or timed_out or released):
-            last = self._joints
+            earlier, last = self._before, self._joints
             try:
                 passed = self.arm.advance()
             except PhysicsError:
@@ -203,9 +204,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             touch_n = max(touch_n, self.arm.touch_n() if self._in_the_way else 0.0)
             timed_out = self._elapsed_steps >= self._step_limit
             travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
-            released = hold.releases(control_steps, travel_rad)
+            change_rad = 0.0 if self.arm.at_rest else _change(earlier, last, self._joints)
+            released = hold.releases(control_steps, travel_rad, change_rad)
             if self._keep_within:
-                self._moments.append(self._moment(travel_rad, control_steps))
+                self._moments.append(self._moment(travel_rad, change_rad, control_steps))
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
         self._touch_n = max(self._touch_n, touch_n)
@@ -231,9 +233,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         ended = self._flag or lost or timed_out or exploded
         return self._observe(), terms.total, info["is_success"], ended and not info["is_success"], info
 
-    def _moment(self, travel_rad: float, control_steps: int) -> Moment:
-        cup = self._link_ends[3].tolist()
-        return Moment(self._observe(), self._joints, cup, self._object, self._depth_m(cup), travel_rad, control_steps)
+    def _moment(self, travel_rad: float, change_rad: float, control_steps: int) -> Moment:
+        cup, depth_m = self._link_ends[3].tolist(), self._depth_m(self._link_ends[3].tolist())
+        return Moment(self._observe(), self._joints, cup, self._object, depth_m, travel_rad, change_rad, control_steps)
 
     def _within(self, ended: bool) -> list[Within]:
         def action_from(joints: JointPositions) -> NDArray[np.float64]:
@@ -263,6 +265,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "reward_distance": terms.distance,
             "reward_progress": terms.progress,
             "reward_displacement": terms.displacement,
+            "reward_touching": terms.touching,
             "object_moved_m": object_moved_m,
             "object_lost": object_lost,
             "exploded": exploded,
@@ -283,7 +286,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return np.array(self._trace).reshape(-1, len(columns.STATE))
 
     def _command(self, action: NDArray[np.float32]) -> bool:
-        """Command the joints; true if the reference had to be cut at a limit."""
+        """Command the joints; true if the reference had to be cut at a limit, or the torque pushes against one."""
         given = np.asarray(action, np.float64)
         if given.shape != self.action_space.shape or not np.all(np.abs(given) <= 1.0):  # NaN compares false
             size = ACTION_SIZE + self._hold.choices
@@ -292,7 +295,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         reference = kinematics.clip_to_limits(*wanted)
         self._last_action, self._reference = given, reference
         self._reference_press_m = self._depth_m(kinematics.forward(reference)[3].tolist())
-        self.arm.command_joints(reference)
+        if self._actions == "torque":
+            self.arm.command_torques(given[:ACTION_SIZE].tolist())
+        else:
+            self.arm.command_joints(reference)
         return reference != wanted
 
     def _wanted(self, action: NDArray[np.float64]) -> JointPositions:
@@ -301,8 +307,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             low, high = kinematics.JOINT_LIMITS_RAD.T
             one, two, three = ((low + high) / 2.0 + (high - low) / 2.0 * action).tolist()
             return one, two, three
-        d1, d2, d3 = (self._max_delta_rad * action).tolist()
-        j1, j2, j3 = self._joints if self._actions == "joint" else self._reference
+        d1, d2, d3 = ((_A_LITTLE_RAD if self._actions == "torque" else self._max_delta_rad) * action).tolist()
+        j1, j2, j3 = self._reference if self._actions == "reference" else self._joints
         return j1 + d1, j2 + d2, j3 + d3
 
     def _sense(self, passed: int) -> bool:
@@ -377,6 +383,11 @@ def dwell_steps(dwell_s: float, control_hz: int) -> int:
     """So many looks in a row, a control step apart, have to find the cup near enough."""
     steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
     return max(1, steps)  # a dwell of nothing: arriving is enough
+
+
+def _change(earlier: JointPositions, last: JointPositions, now: JointPositions) -> float:
+    """How much more or less a joint moved than in the control step before, at the most."""
+    return max(abs(c - 2.0 * b + a) for a, b, c in zip(earlier, last, now, strict=True))
 
 
 def _travel(start: JointPositions, end: JointPositions) -> float:

@@ -34,11 +34,12 @@ class Hold(Protocol):
         """About how long a decision takes, for films."""
         ...
 
-    def releases(self, control_steps: int, travel_rad: float) -> bool:
+    def releases(self, control_steps: int, travel_rad: float, change_rad: float) -> bool:
         """Whether the decision ends now.
 
         ``control_steps`` counts those since the command (1 after the first); ``travel_rad`` is the largest joint
-        movement between the last and the current control step.
+        movement between the last and the current control step, ``change_rad`` the most by which a joint moved otherwise
+        than in the control step before that.
         """
         ...
 
@@ -60,7 +61,7 @@ class FixedHold:
     def chosen(self, numbers: Sequence[float]) -> Hold:
         return self
 
-    def releases(self, control_steps: int, travel_rad: float) -> bool:
+    def releases(self, control_steps: int, travel_rad: float, change_rad: float) -> bool:
         return control_steps >= self.control_steps
 
     def __str__(self) -> str:
@@ -92,13 +93,27 @@ class UntilSteady:
     def chosen(self, numbers: Sequence[float]) -> Hold:
         return self
 
-    def releases(self, control_steps: int, travel_rad: float) -> bool:
+    def releases(self, control_steps: int, travel_rad: float, change_rad: float) -> bool:
         if control_steps < self.min_control_steps:
             return False
         return travel_rad < self.steady_threshold_rad or control_steps >= self.max_control_steps
 
     def __str__(self) -> str:
         return f"until_steady({self.min_control_steps}..{self.max_control_steps}, {self.steady_threshold_rad:g} rad)"
+
+
+class SteadySpeed(UntilSteady):
+    """Release when no joint's speed changed any more: what is steady of an arm that is told torques.
+
+    The paper waits for "a state expected by the command", which for angles is to stand at them. What a torque comes to is a
+    speed, and an arm that stands is at a limit, or held by chance.
+    """
+
+    def releases(self, control_steps: int, travel_rad: float, change_rad: float) -> bool:
+        return super().releases(control_steps, change_rad, change_rad)
+
+    def __str__(self) -> str:
+        return super().__str__().replace("until_steady", "steady_speed")
 
 
 @dataclass(frozen=True)
@@ -124,7 +139,7 @@ class LearnedHold:
         (number,) = numbers
         return FixedHold(1 + round((self.max_control_steps - 1) * (number + 1.0) / 2.0))
 
-    def releases(self, control_steps: int, travel_rad: float) -> bool:
+    def releases(self, control_steps: int, travel_rad: float, change_rad: float) -> bool:
         """The longest that may be chosen; a decision's own rule is ``chosen``."""
         return control_steps >= self.max_control_steps
 

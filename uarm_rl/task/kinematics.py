@@ -13,8 +13,8 @@ Numbers: firmware V4.2 to V4.10, ``src/uarm_coord_convert.h`` (lengths, tool off
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,11 +63,7 @@ def forward(joints_rad: Sequence[float] | Vector) -> Vector:
     """
     joint1, joint2, joint3 = joints_rad[0], joints_rad[1], joints_rad[2]
     cos1, sin1 = math.cos(joint1), math.sin(joint1)
-    depression = joint2 + joint3
-    elbow_r = SHOULDER_FORWARD_M + LOWER_ARM_M * math.sin(joint2)
-    elbow_z = SHOULDER_HEIGHT_M + LOWER_ARM_M * math.cos(joint2)
-    wrist_r = elbow_r + FOREARM_M * math.cos(depression)
-    wrist_z = elbow_z - FOREARM_M * math.sin(depression)
+    elbow_r, elbow_z, wrist_r, wrist_z = _from_the_side(joint2, joint3, math.cos, math.sin)
     cup_r = wrist_r + CUP_FORWARD_M
     return np.array(
         [
@@ -77,6 +73,24 @@ def forward(joints_rad: Sequence[float] | Vector) -> Vector:
             [cup_r * cos1, cup_r * sin1, wrist_z - CUP_DOWN_M],
         ]
     )
+
+
+def forward_all(joints_rad: Vector) -> Vector:
+    """:func:`forward` of many joint positions, shape (n, 3), in one go; shape (n, 4, 3)."""
+    joint1, joint2, joint3 = joints_rad.T
+    elbow_r, elbow_z, wrist_r, wrist_z = _from_the_side(joint2, joint3, np.cos, np.sin)
+    radii = np.array([np.full(len(joint1), SHOULDER_FORWARD_M), elbow_r, wrist_r, wrist_r + CUP_FORWARD_M])
+    heights = np.array([np.full(len(joint1), SHOULDER_HEIGHT_M), elbow_z, wrist_z, wrist_z - CUP_DOWN_M])
+    ends: Vector = np.array([radii * np.cos(joint1), radii * np.sin(joint1), heights]).transpose(2, 1, 0)
+    return ends
+
+
+def _from_the_side(joint2: Any, joint3: Any, cos: Callable[[Any], Any], sin: Callable[[Any], Any]) -> tuple[Any, Any, Any, Any]:
+    """Distance from the base's axis and height of elbow and wrist, of numbers or of arrays."""
+    depression = joint2 + joint3
+    elbow_r = SHOULDER_FORWARD_M + LOWER_ARM_M * sin(joint2)
+    elbow_z = SHOULDER_HEIGHT_M + LOWER_ARM_M * cos(joint2)
+    return elbow_r, elbow_z, elbow_r + FOREARM_M * cos(depression), elbow_z - FOREARM_M * sin(depression)
 
 
 def cup_position(joints_rad: Sequence[float] | Vector) -> Vector:

@@ -26,8 +26,7 @@ _CAMERA_M: Final = 0.03
 _CAMERA_AHEAD_M: Final = 0.075  # of the cup, on UFACTORY's mount
 _CAMERA_BELOW_M: Final = 0.03  # the wrist
 _RADII: Final[Vector] = np.array([_BASE_M, _LIMB_M, _LIMB_M, _HAND_M, _CUP_M, _CAMERA_M])
-_HALVINGS: Final = 26  # golden sections of an axis, which end within a micrometre
-_SECTION: Final = (math.sqrt(5.0) - 1.0) / 2.0
+_NOTHING: Final = 1e-12
 #: No part of the arm moves farther than so much (m) while joint1, joint2 or joint3 turns by a radian.
 _LEVERS_M: Final[Vector] = np.array([0.48, 0.43, 0.29])
 
@@ -72,20 +71,26 @@ def clearances_m(joints_rad: Vector, obstacles: Sequence[Box]) -> Vector:
     starts, ends = _axes(joints_rad)
     centres, sizes = (np.array(each) for each in zip(*obstacles, strict=True))
     low, high = centres - sizes / 2.0, centres + sizes / 2.0
-    # The distance to a box is convex along a straight line, so sections find where an axis comes nearest.
     start, along = starts[:, :, np.newaxis], (ends - starts)[:, :, np.newaxis]
+    # The squared distance to a box is convex along a straight line, and between the planes of its sides a parabola.
+    steady = np.where(np.abs(along) < _NOTHING, _NOTHING, along)
+    cuts = np.zeros((*starts.shape[:2], len(obstacles), 8))
+    cuts[..., 1:4], cuts[..., 4:7], cuts[..., 7] = (low - start) / steady, (high - start) / steady, 1.0
+    cuts = np.sort(np.minimum(np.maximum(cuts, 0.0), 1.0), axis=-1)
 
-    def squared(share: Vector) -> Any:
-        point = start + share[..., np.newaxis] * along
-        outside = np.maximum(0.0, np.maximum(low - point, point - high))
-        return np.einsum("...i,...i", outside, outside)
+    def outside(share: Vector) -> Any:
+        """How far points are beyond the sides, with signs, where each axis is gone along by a share of it."""
+        point = start[..., np.newaxis, :] + share[..., np.newaxis] * along[..., np.newaxis, :]
+        return np.maximum(0.0, point - high[:, np.newaxis]) - np.maximum(0.0, low[:, np.newaxis] - point)
 
-    left, right = np.zeros((*starts.shape[:2], len(obstacles))), np.ones((*starts.shape[:2], len(obstacles)))
-    for _ in range(_HALVINGS):
-        one, other = right - _SECTION * (right - left), left + _SECTION * (right - left)
-        lower = squared(one) <= squared(other)
-        left, right = np.where(lower, left, one), np.where(lower, other, right)
-    nearest: Vector = (np.sqrt(squared((left + right) / 2.0)) - _RADII[:, np.newaxis]).min(axis=(1, 2))
+    slopes = np.einsum("...ki,...i", outside(cuts), along)
+    last = np.minimum(np.maximum((slopes <= 0.0).sum(axis=-1) - 1, 0), 6)
+    at = np.arange(last.size).reshape(last.shape) * 8 + last
+    left, right, falls, rises = cuts.flat[at], cuts.flat[at + 1], slopes.flat[at], slopes.flat[at + 1]
+    share = falls / (falls - rises - _NOTHING)  # where the slope is nought between the two
+    lowest = left + np.minimum(np.maximum(share, 0.0), 1.0) * (right - left)
+    apart = outside(lowest[..., np.newaxis])[..., 0, :]
+    nearest: Vector = (np.sqrt(np.einsum("...i,...i", apart, apart)) - _RADII[:, np.newaxis]).min(axis=(1, 2))
     return nearest
 
 
@@ -117,7 +122,7 @@ def way_clearances_m(start_rad: Sequence[float], end_rad: Sequence[float], obsta
 
 def _axes(joints_rad: Vector) -> tuple[Vector, Vector]:
     """Where the axes of the capsules begin and end, shape (n, 6, 3) each."""
-    shoulder, elbow, wrist, cup = np.moveaxis(np.array([kinematics.forward(joints) for joints in joints_rad]), 1, 0)
+    shoulder, elbow, wrist, cup = np.moveaxis(kinematics.forward_all(joints_rad), 1, 0)
     turn = joints_rad[:, 0]
     ahead = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))])
     hand = cup + (0.0, 0.0, kinematics.CUP_DOWN_M)

@@ -40,6 +40,7 @@ class Moment(NamedTuple):
     object_m: Sequence[float]
     depth_m: float  # of the cup below the object's upper surface
     travel_rad: float  # since the control step before
+    change_rad: float  # of that, between the two
     control_steps: int  # since the command
 
 
@@ -69,7 +70,7 @@ def decisions_within(
     end = moments[-1]
     for number, start in enumerate(moments[:-1], 1):
         rest = moments[number:]
-        releases = [hold.releases(one.control_steps - start.control_steps, one.travel_rad) for one in rest]
+        releases = [hold.releases(one.control_steps - start.control_steps, one.travel_rad, one.change_rad) for one in rest]
         action = action_from(start.joints)
         if any(releases[:-1]) or not (releases[-1] or ended) or np.abs(action).max() > 1.0:
             continue
