@@ -129,7 +129,8 @@ FREE = ORDINARY | {"contact_n": 0.0, "reward_touching": 0.0, "object_moved_m": 1
         (FREE, 4 * 3),
         (FREE | {"contact_n": 0.1}, 4),
         (FREE | {"object_moved_m": 0.001}, 4),
-        (FREE | {"terminated": True}, 4),  # it ended early, which it would not have elsewhere
+        (FREE | {"terminated": True, "is_success": True}, 4),  # it ended early, which it would not have elsewhere
+        (FREE | {"terminated": True, "reward_touching": -3.0}, 4 * 3),  # at an obstacle, and that stands where it stands
     ],
 )
 def test_only_what_did_not_touch_the_object_is_learned_from_again_and_nothing_counts_twice(answer, stored):

@@ -32,10 +32,11 @@ ORDINARY = {
     "object_moved_m": 0.001,
     "object_lost": False,
     "exploded": False,
+    "is_success": False,
 }
 STUCK = ORDINARY | {"reward": -2.0, "clipped": True, "travel_rad": 0.0005, "control_steps": 2}
 EXPLODED = ORDINARY | {"reward": -4.0, "truncated": True, "exploded": True, "control_steps": 0}
-SUCCESS = ORDINARY | {"reward": -8.0, "terminated": True}
+SUCCESS = ORDINARY | {"reward": -8.0, "terminated": True, "is_success": True}
 LOST = ORDINARY | {"reward": -16.0, "truncated": True, "object_lost": True, "object_moved_m": 0.05}
 TIMED_OUT = ORDINARY | {"reward": -32.0, "truncated": True}
 

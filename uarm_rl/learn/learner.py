@@ -85,8 +85,9 @@ class Learner:
                     )
                 )
             )
-            if self.hindsight and not terminated and not touched(info):
-                free = Transition(observation, action, reward, next_observation, returns.discount(info["control_steps"]))
+            if self.hindsight and not info["is_success"] and not touched(info):
+                discount = 0.0 if terminated else returns.discount(info["control_steps"])
+                free = Transition(observation, action, reward, next_observation, discount)
                 self._store(self.hindsight.of(free, info["reward_touching"], self.replay.observations))
             self.counters.experiences += 1
         else:

@@ -79,7 +79,7 @@ class TrainingEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
         if not (math.isfinite(float(reward)) and np.isfinite(raw).all()):
             raise DivergenceError(f"the environment returned reward {reward!r} and observation {raw!r}")
         self.sums["episode_return"] += float(reward)
-        self.sums["successes"] += terminated
+        self.sums["successes"] += info["is_success"]
         for name, column in _SUMS.items():
             self.sums[column] += info[name]
         self._left -= 1

@@ -86,9 +86,9 @@ def train(
     """Train until the schedule's last episode, or until a stop is requested: then in the middle of an episode.
 
     ``updates_per_experience`` gradient steps per stored experience, taken while the arm carries out the next decision. An
-    episode ends when its experiences are there; a success or a lost object only places a new object. ``end_of_episode``
-    receives the episode's row of the log, and what it asks for is asked for. Raises :class:`DivergenceError` when a number is
-    no longer finite.
+    episode ends when its experiences are there; a success, a touched obstacle or a lost object only places a new object.
+    ``end_of_episode`` receives the episode's row of the log, and what it asks for is asked for. Raises
+    :class:`DivergenceError` when a number is no longer finite.
     """
     env, counters = learner.env, learner.counters
     total = schedule.episodes * schedule.experiences_per_episode
@@ -118,7 +118,7 @@ def train(
             counters.control_steps += info["control_steps"]
             episode_return += reward
             object_moved_m += info["object_moved_m"]
-            successes += terminated
+            successes += info["is_success"]
             object_losses += info["object_lost"]
             explosions += info["exploded"]
             observation = env.reset(home=info["exploded"]) if terminated or truncated else next_observation

@@ -113,7 +113,6 @@ _UNITS: Final = {"m": (1000.0, " mm"), "s": (1.0, " s"), "rad": (1.0, " rad")}
 _DISPLACEMENT: Final = "object_displacement_m"
 _TRAINING_DISPLACEMENT: Final = "training_displacement_m"
 _IN_EQUAL_TIME: Final = ("equal_time_success", "equal_time_learned")
-_RATE: Final = "validation_success_rate"
 _BOTH: Final = ("adaptive", "uniform")
 _LAST_VALIDATIONS: Final = 3  # their mean is the end of a run: one validation has 50 positions
 
@@ -132,7 +131,7 @@ def ablations(results_dir: Path, usual: Mapping[str, Any]) -> Section:
         check_engines({str(folder): pd.concat(evaluations.values())})
     columns = {**PROGRESS, **DISTURBANCE}
     progress = {name: read_seeds(folders, "progress.csv", columns) for name, folders in runs.items()}
-    curves = {run: _curve(rows) for run, rows in progress.items()}
+    curves = {run: tables.curve(rows) for run, rows in progress.items()}
     section = Section()
     found: dict[str, pd.DataFrame] = {}
     trained: set[str] = set()
@@ -209,13 +208,6 @@ def _setting(study: str, run: Point) -> str:
     return f"{label}, long" if study.endswith("_long") else label
 
 
-def _curve(progress: pd.DataFrame) -> pd.DataFrame:
-    """Validation success over seeds, episode by episode: seeds that were cut short have stored a few experiences less."""
-    validated = progress.dropna(subset=[_RATE])
-    spent = {name: (name, "mean") for name in ("experiences", "control_steps")}
-    return tables.over_seeds(validated, "episode", [_RATE], **spent)
-
-
 def _row(run: str, buffer: str, evaluation: pd.DataFrame, progress: pd.DataFrame, shortest: float) -> dict[str, Any]:
     """What is known of one name's runs: success, what the object suffered, and under which conditions.
 
@@ -244,7 +236,7 @@ def _row(run: str, buffer: str, evaluation: pd.DataFrame, progress: pd.DataFrame
 def _in_equal_time(*curves: pd.DataFrame) -> list[float]:
     """The validation success of both when as much time is simulated as the shorter has in all; NaN if none was yet."""
     shorter = min(curve["control_steps"].max() for curve in curves)
-    return [curve.loc[curve["control_steps"] <= shorter, f"{_RATE}_mean"].tail(1).mean() for curve in curves]
+    return [curve.loc[curve["control_steps"] <= shorter, f"{tables.RATE}_mean"].tail(1).mean() for curve in curves]
 
 
 def _choice(constants: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
@@ -254,7 +246,7 @@ def _choice(constants: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> pd
     """
     names = zip(constants["run"], constants["setting"], constants["buffer"], strict=True)
     ends = [_end(progress[run]).assign(setting=setting, buffer=buffer) for run, setting, buffer in names]
-    rates = pd.concat(ends).pivot_table(index=["setting", "seed"], columns="buffer", values=_RATE, sort=False)
+    rates = pd.concat(ends).pivot_table(index=["setting", "seed"], columns="buffer", values=tables.RATE, sort=False)
     both = rates.reindex(columns=[*_BOTH]).dropna()
     columns = {name: (name, "mean") for name in (*_BOTH, "score")}
     choice: pd.DataFrame = (
@@ -268,8 +260,8 @@ def _choice(constants: pd.DataFrame, progress: Mapping[str, pd.DataFrame]) -> pd
 
 def _end(progress: pd.DataFrame) -> pd.DataFrame:
     """The validation success at the end of each seed's run."""
-    last = progress.dropna(subset=[_RATE]).groupby("seed").tail(_LAST_VALIDATIONS)
-    end: pd.DataFrame = last.groupby("seed", as_index=False)[[_RATE]].mean()
+    last = progress.dropna(subset=[tables.RATE]).groupby("seed").tail(_LAST_VALIDATIONS)
+    end: pd.DataFrame = last.groupby("seed", as_index=False)[[tables.RATE]].mean()
     return end
 
 
@@ -294,7 +286,7 @@ def _picture(question: Question, table: pd.DataFrame, curves: Mapping[str, pd.Da
         return figures.picture(lambda figure: figures.draw_sigma_sweep(figure, table), words)
     if swept == "setting":
         return figures.picture(lambda figure: figures.draw_settings(figure, table), words, 2.6)
-    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, _RATE, timed=question.timed), words)
+    return figures.picture(lambda figure: figures.draw_runs(figure, table, curves, tables.RATE, timed=question.timed), words)
 
 
 def _missing(folder: Path, trained: Sequence[Point], tested: Sequence[Point]) -> list[str]:

@@ -36,7 +36,10 @@ _BUFFERS: Final = {
     "fixed_hold": _Style("#0072B2", (0, (6, 1, 1, 1, 1, 1)), "P"),
     "every_step": _Style("#777777", (0, (8, 2)), "^"),
     "learned_hold": _Style("#E69F00", (0, (3, 2)), "X"),
+    "steady_speed": _Style("#E69F00", (0, (3, 2)), "X"),
 }
+#: Of ends of attempts, from good to bad: without colour by their hatching.
+_ENDS: Final = (("#009E73", ""), ("#E69F00", "///"), ("#BBBBBB", "..."))
 _MARKERS: Final = ("o", "s", "D", "v", "^", "P", "X")
 _DECADE: Final = 10.0
 _WIDEST_MM: Final = 20.0  # of the tolerances that a curve is drawn for
@@ -230,6 +233,23 @@ def draw_runs(figure: Figure, table: pd.DataFrame, curves: Mapping[str, pd.DataF
         axes.set(xlabel=f"{words}\n{_BAND}", xscale="log" if words.startswith("Control") else "linear")
         axes.xaxis.set_major_formatter(lambda count, _: f"{count / 1000:g}")
         _success_axis(axes, "Success on validation\npositions (%)")
+
+
+def draw_outcomes(figure: Figure, table: pd.DataFrame, ends: Mapping[str, str]) -> None:
+    """How attempts ended, a bar a method; ``ends`` are columns of shares with their words, and no attempt has two of them."""
+    axes = figure.subplots()
+    left, rows = pd.Series(0.0, index=table.index), range(len(table))[::-1]
+    for (end, words), (colour, hatch) in zip(ends.items(), _ENDS, strict=False):
+        axes.barh(rows, table[end], left=left, color=colour, hatch=hatch, edgecolor="white", linewidth=0, label=words)
+        for row, start, share in zip(rows, left, table[end], strict=True):
+            if share >= 0.06:  # else there is no room
+                box = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+                axes.text(start + share / 2, row, tables.percent(share), ha="center", va="center", color="0.1", bbox=box)
+        left = left + table[end]
+    axes.set_yticks(rows, table["method"])
+    axes.grid(visible=False)
+    axes.set(xlim=(0, 1), xlabel="Share of the attempts on the test layouts (%)")
+    axes.xaxis.set_major_formatter(lambda rate, _: f"{100 * rate:.0f}")
 
 
 def draw_servo_sweep(figure: Figure, table: pd.DataFrame) -> None:

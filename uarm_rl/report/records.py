@@ -86,6 +86,8 @@ EVALUATION: Final = {
     **columns.CONDITIONS,
     **columns.SETTLED,
     **columns.LEANING,
+    **columns.TOUCHING,
+    "final_distance_m": columns.MEASURED["final_distance_m"]._replace(optional=True),
 }
 BUDGETS: Final = ("experiences", "updates", "decisions", "control_steps")
 PROGRESS: Final = pick(columns.PROGRESS, "episode", *BUDGETS, "episode_return", "validation_success_rate")

@@ -12,6 +12,7 @@ from uarm_rl.files import CONFIG
 from uarm_rl.report import tables
 from uarm_rl.report.ablations import ABLATIONS, ablations
 from uarm_rl.report.arm_trials import arm_trials
+from uarm_rl.report.beyond import BEYOND, obstacles, torques
 from uarm_rl.report.comparisons import comparisons
 from uarm_rl.report.engines import engines
 from uarm_rl.report.leaning import leaning
@@ -34,7 +35,7 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
     """Rebuild tables, pictures and ``report.html`` in ``results_dir`` from the CSV files below it; returns Table 1 to print.
 
     Reads ``<name>/seed<k>/progress.csv``, ``evaluation.csv`` and the other evaluations there, ``paper.csv`` (if absent,
-    the packaged one), and the runs in ``ablations/``. Tables and pictures show every run that is there. Raises
+    the packaged one), and the runs in ``ablations/`` and ``beyond/``. Tables and pictures show every run that is there. Raises
     :class:`UsageError` if the folder holds no run, and :class:`ReportError`, with nothing written, if a file of one cannot be
     used. ``usual`` is the configuration that the studies
     in ``ablations/`` change.
@@ -42,7 +43,7 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
     if (results_dir / CONFIG).exists():
         raise UsageError(f"{results_dir} is a run; did you mean results_dir={results_dir.parent.parent}, where all runs are?")
     found = find_runs(results_dir)
-    if not found and not (results_dir / ABLATIONS).is_dir():
+    if not found and not any((results_dir / folder).is_dir() for folder in (ABLATIONS, BEYOND)):
         raise UsageError(f"{results_dir} holds no run; make one with {command(results_dir, 'train')}")
     shown = methods(found)
     runs = {method.folder: found.get(method.folder, []) for method in shown}
@@ -63,6 +64,8 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
         "Other holds": lambda: holds(results_dir, shown, runs, evaluations),
         "Leaning on the object": lambda: leaning(results_dir, shown, runs, evaluations),
         "Two engines": lambda: engines(results_dir, methods(found), runs, evaluations),
+        "Past obstacles": lambda: obstacles(results_dir),
+        "Told torques": lambda: torques(results_dir),
         "Why it works: shorter runs": lambda: ablations(results_dir, usual),
         "Replays": lambda: replays(results_dir, shown, runs, evaluations),
         "Trials of the arm": lambda: arm_trials(results_dir),

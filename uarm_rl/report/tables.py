@@ -16,6 +16,9 @@ from uarm_rl import csvfile
 from uarm_rl.report import statistics
 from uarm_rl.report.records import Method
 
+#: The column of a run's log that says how well its policy does on the validation positions.
+RATE: Final = "validation_success_rate"
+
 _BOOTSTRAP_SEED: Final = 20190701  # any fixed number: the same files give the same interval
 #: Draws times positions: a thousand positions get by with fewer draws than a hundred, in the same time.
 _BOOTSTRAP_WORK: Final = 1_000_000
@@ -169,6 +172,13 @@ def over_seeds(rows: pd.DataFrame, key: str, values: Sequence[str], **further: t
     groups = rows.astype({key: int}).groupby(key, as_index=False)
     table: pd.DataFrame = groups.agg(seeds=("seed", "nunique"), **further, **spread)
     return table
+
+
+def curve(progress: pd.DataFrame) -> pd.DataFrame:
+    """Validation success over seeds, episode by episode: seeds that were cut short have stored a few experiences less."""
+    validated = progress.dropna(subset=[RATE])
+    spent = {name: (name, "mean") for name in ("experiences", "control_steps")}
+    return over_seeds(validated, "episode", [RATE], **spent)
 
 
 def stacked(methods: Sequence[Method], curves: Mapping[str, pd.DataFrame]) -> pd.DataFrame:

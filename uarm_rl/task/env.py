@@ -41,8 +41,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ``layouts`` is what may stand where: an object alone, or obstacles too, which are then behind the other numbers of the
     observation. One that is drawn begins at home.
 
-    ``terminated``: success, the cup stayed within ``tolerance_m`` of the target for ``dwell_s`` without a break (the
-    flag), and the arm touched no obstacle before; an attempt in which it did is ``truncated`` there. ``truncated``:
+    ``terminated``: success (``info["is_success"]``), the cup stayed within ``tolerance_m`` of the target for ``dwell_s``
+    without a break (the flag); or the arm touched an obstacle, and success is out of reach. ``truncated``:
     ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach, or the simulation
     exploded (``info["exploded"]``; only a reset with ``home`` mends it).
 
@@ -57,7 +57,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     between the two states), the reward's terms, ``object_moved_m``, ``object_lost``, ``exploded``, ``ghost``, and how the arm
     leans: ``press_m`` and ``reference_press_m``, how far the cup and the commanded one were below the object's upper surface
     while over it, and ``contact_n``, the largest normal force between them. ``touched`` tells whether the arm has touched
-    an obstacle since the reset, and ``obstacle_contact_n`` with what force at the most. How the decision went, control
+    an obstacle, and ``obstacle_contact_n`` with what force. How the decision went, control
     step by control step, is in ``trace``.
 
     With ``keep_within``, for training, ``info`` of a ``step`` has ``within`` too: the decisions that might have begun at the
@@ -188,9 +188,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         clipped = self._command(action)
         hold = self._hold.chosen(self._last_action[ACTION_SIZE:].tolist())
         self._trace, self._moments, control_steps = [], [], 0
-        self._press_m = self._contact_n = touch_n = 0.0
+        self._press_m = self._contact_n = 0.0
         lost = timed_out = released = exploded = False
-        while not (self._flag or lost or timed_out or released):
+        while not (self._flag or self._touch_n or lost or timed_out or released):
             earlier, last = self._before, self._joints
             try:
                 passed = self.arm.advance()
@@ -201,7 +201,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             lost = not self._sense(passed)
             control_steps += passed
             self._trace.append(self.state())
-            touch_n = max(touch_n, self.arm.touch_n() if self._in_the_way else 0.0)
+            self._touch_n = self.arm.touch_n() if self._in_the_way else 0.0
             timed_out = self._elapsed_steps >= self._step_limit
             travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
             change_rad = 0.0 if self.arm.at_rest else _change(earlier, last, self._joints)
@@ -210,14 +210,13 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 self._moments.append(self._moment(travel_rad, change_rad, control_steps))
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
-        self._touch_n = max(self._touch_n, touch_n)
         terms = self._reward(
             start_cup,
             start_object,
             self._link_ends[3].tolist(),
             self._object,
             self._press_m,
-            self._layouts.touching if touch_n > 0.0 else 0.0,
+            self._layouts.touching if self._touch_n else 0.0,
         )
         info = self._info(
             terms,
@@ -230,8 +229,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         if self._keep_within:
             info["within"] = [] if exploded else self._within(self._flag or lost or timed_out)
-        ended = self._flag or lost or timed_out or exploded
-        return self._observe(), terms.total, info["is_success"], ended and not info["is_success"], info
+        terminated = self._flag or self._touch_n > 0.0
+        return self._observe(), terms.total, terminated, (lost or timed_out or exploded) and not terminated, info
 
     def _moment(self, travel_rad: float, change_rad: float, control_steps: int) -> Moment:
         cup, depth_m = self._link_ends[3].tolist(), self._depth_m(self._link_ends[3].tolist())
@@ -256,7 +255,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> dict[str, Any]:
         """What vector environments can batch: the same keys, shapes and types every time."""
         return {
-            "is_success": self._flag and self._touch_n == 0.0,
+            "is_success": self._flag and not self._touch_n,
             "distance_m": self._distance_m(),
             "object_position": np.array(self._object),
             "control_steps": control_steps,

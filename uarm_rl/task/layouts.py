@@ -81,7 +81,7 @@ class Reach:
 class Obstacles:
     """One to ``slots`` boxes between home and object; ``touching`` is the reward of a decision in which the arm touches one.
 
-    Every attempt begins at home. An obstacle that is touched stays where it is.
+    Every attempt begins at home, and ends when an obstacle is touched.
     """
 
     def __init__(self, slots: int, touching: float) -> None:

@@ -41,4 +41,4 @@ def run_episode(env: UArmSuctionEnv, policy: Policy, **reset: Any) -> Episode:
         traces.append(env.trace)
         episode_return += reward
         decisions += 1
-    return Episode(terminated, episode_return, decisions, np.concatenate(traces), **leaning)
+    return Episode(info["is_success"], episode_return, decisions, np.concatenate(traces), **leaning)
