@@ -7,7 +7,7 @@ PYTHON ?= $(shell for name in python3.11 python3.10 python3 python; do "$$name" 
 DEMO_EPISODES ?= 100
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo paper ablations leaning engines test check docs bench torture clean
+.PHONY: demo paper ablations leaning beyond engines test check docs bench torture clean
 
 demo: $(VENV)/.installed  ## an arm trained in about a minute; then method C for a short budget, tests on the 100 positions, the report
 	$(BIN)/uarm-rl train experiment=fast results_dir=demo resume=true
@@ -66,6 +66,15 @@ leaning: $(VENV)/.installed-launch  ## the paper's methods with a cup that gives
 	$(EVALUATE)/bellows object=ghost out=ghost.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
+beyond: $(VENV)/.installed-plan  ## obstacles and torques, and the report; about 12 hours on two cores
+	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=obstacles buffer=adaptive,uniform seed=$(SEEDS) $(OVERRIDES)
+	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=uniform,steady_speed seed=$(SEEDS) $(OVERRIDES)
+	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=adaptive episodes=200 seed=$(SEEDS) $(OVERRIDES)
+	$(EVALUATE)/beyond traces=1
+	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=ik out=ik.csv
+	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=planner out=planner.csv
+	$(BIN)/uarm-rl report results_dir=$(RESULTS)
+
 engines: $(VENV)/.installed-engines  ## the paper's policies in MuJoCo too, C and D trained there, and the report; about 30 minutes on two cores
 	$(TRAIN) results_dir=$(RESULTS)/mujoco experiment=C,D seed=$(SEEDS) sim=mujoco episodes=300 $(OVERRIDES)
 	$(EVALUATE)/mujoco
@@ -115,6 +124,10 @@ $(VENV)/.installed-launch: $(VENV)/.installed
 
 $(VENV)/.installed-engines: $(VENV)/.installed-launch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mujoco]'
+	@touch $@
+
+$(VENV)/.installed-plan: $(VENV)/.installed-launch
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[plan]'
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed

@@ -6,6 +6,7 @@ import csv
 from pathlib import Path
 
 from tests.report.runs import add_evaluation, add_progress, lines, remarks, write, write_config
+from uarm_rl import columns
 from uarm_rl.configuration import compose
 from uarm_rl.report.report import report
 
@@ -61,7 +62,11 @@ def test_how_attempts_past_obstacles_ended(tmp_path):
 
 
 def test_what_each_way_to_wait_comes_to_with_torques(tmp_path):
-    add_run(tmp_path, "experiment=torque", successes="1110")
+    told = add_run(tmp_path, "experiment=torque", successes="1110")
+    write(
+        told / "evaluation-traces.csv",
+        [{"position": 0, "time_s": k / 20, **dict.fromkeys(columns.STATE, 0.1)} for k in range(4)],
+    )
     add_run(tmp_path, "experiment=torque", "buffer=adaptive", "episodes=200", successes="0000")
     add_run(tmp_path, "experiment=torque", "buffer=steady_speed", successes="", tested=False)
     text = report(tmp_path, USUAL)
@@ -72,6 +77,7 @@ def test_what_each_way_to_wait_comes_to_with_torques(tmp_path):
     ]
     assert "| uniform | 1000 | 1 | 75 % (30.1 to 95.4 %) | 4.0 | 1.0 | 2.0 |" in lines(tmp_path, "torque.md")
     assert not (tmp_path / "obstacles.csv").exists()
+    assert (tmp_path / "torque_traces.png").read_bytes().startswith(b"\x89PNG")
     assert remarks(text, "beyond the paper") == [
         f"beyond the paper, not tested: 1 runs; `uarm-rl evaluate results_dir={tmp_path / 'beyond'}` does it"
     ]

@@ -50,7 +50,7 @@ def test_the_way_of_a_layout_is_one_in_a_real_world(env):
         assert (followed.success, followed.obstacle_contact_n) == (True, 0.0)
 
 
-def test_who_goes_straight_touches_and_has_not_succeeded_even_where_it_arrives(env):
+def test_who_goes_straight_touches_and_has_not_succeeded(env):
     straight = InverseKinematicsPolicy(MAX_DELTA_RAD)
     results = [run_episode(env, straight, options=one.options()) for one in layouts.load_named("validation", 3)[:10]]
     touched = [one.obstacle_contact_n > 0.0 for one in results]
@@ -99,7 +99,7 @@ def test_obstacles_are_seen_behind_the_other_numbers_and_gone_with_the_next_layo
 def test_drawn_layouts_have_a_way_and_something_in_it():
     generator, task, counts = np.random.default_rng(5), layouts.Obstacles(3, -1.0), set()
     for _ in range(3):
-        object_m, obstacles = layout = task.draw(generator, 0.03, np.zeros(3))
+        object_m, obstacles, _ = layout = task.draw(generator, 0.03, np.zeros(3))
         counts.add(len(obstacles))
         assert not layouts.fault(layout)
         legs = layouts.way(layout)
@@ -107,6 +107,23 @@ def test_drawn_layouts_have_a_way_and_something_in_it():
         for box in obstacles:
             assert math.isclose(box.centre_m[2], box.size_m[2] / 2.0)  # on the table
     assert counts <= {1, 2, 3}
+
+
+def test_some_attempts_of_a_training_begin_elsewhere_and_no_test_does(env):
+    home = kinematics.HOME_JOINTS_RAD
+    begun = []
+    for seed in range(12):
+        observed, info = env.reset(seed=seed)
+        joints = env.unwrapped.arm.read_joints()
+        assert observed[15:18] == pytest.approx(joints, abs=1e-6)
+        begun.append(np.abs(joints - home).max() > 1e-6)
+        assert not info["touched"]
+        _, _, terminated, _, info = env.step(np.zeros(3, np.float32))
+        assert not terminated
+        assert env.unwrapped.arm.read_joints() == pytest.approx(joints, abs=1e-3)  # at rest, and where nothing is
+    assert 3 <= sum(begun) <= 9
+    env.reset(seed=0, options=IN_THE_WAY.options())
+    assert env.unwrapped.arm.read_joints() == pytest.approx(home)
 
 
 def test_the_committed_layouts_are_those_of_their_seeds():

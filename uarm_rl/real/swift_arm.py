@@ -183,6 +183,10 @@ class SwiftArm:
         self.wait_until_idle()
         self._move(reference_rad, single_step=True)
 
+    def stand_at(self, joints_rad: Sequence[float]) -> None:
+        """Raises :class:`ArmError`: it takes a way to get there."""
+        raise ArmError("a real arm goes to a pose on a way; it cannot begin there")
+
     def command_torques(self, shares: Sequence[float]) -> None:
         """Raises :class:`ArmError`: the firmware takes no torques."""
         raise ArmError("this arm's firmware takes no torques, only places to go to")

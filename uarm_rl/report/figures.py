@@ -193,7 +193,8 @@ def draw_budgets(
 
 def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, position: int) -> None:
     """One episode of each method: the tip around the object from above, its height, and the joints over time."""
-    above, beside, joints = figure.subplots(3, len(traces), sharex="row", sharey="row", height_ratios=(1.4, 1, 1))
+    grid = figure.subplots(3, len(traces), sharex="row", sharey="row", height_ratios=(1.4, 1, 1), squeeze=False)
+    above, beside, joints = grid
     for number, (method, trace) in enumerate(traces.items()):
         target = trace[["object_x_m", "object_y_m", "object_z_m"]].to_numpy()
         tip = 1000.0 * (trace[["cup_x_m", "cup_y_m", "cup_z_m"]].to_numpy() - target[0])

@@ -197,13 +197,13 @@ class MujocoArm(SimulatedArm):
             joint.solref_limit, joint.solimp_limit = (2.0 * dt, 1.0), _CONTACT_IMPEDANCE
         return spec
 
-    def home(self) -> None:
+    def stand_at(self, joints_rad: Sequence[float]) -> None:
         if self._obstacles:
             self._obstacles = ()
             self._build()
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
-        self._angles[:4] = self._start()
+        self._angles[:4] = self._start(joints_rad)
         self._look()
 
     def read_joints(self) -> JointPositions:

@@ -85,7 +85,7 @@ class Bodies(NamedTuple):
 class SimArm(SimulatedArm):
     """``Arm`` and ``Target`` in one PyBullet world.
 
-    ``home`` builds the world anew (about 4 ms): PyBullet repeats itself to the last bit after the same commands
+    ``stand_at`` builds the world anew (about 4 ms): PyBullet repeats itself to the last bit after the same commands
     from an empty world, which it does not promise after ``restoreState``.
     """
 
@@ -142,7 +142,7 @@ class SimArm(SimulatedArm):
         """PyBullet's numbers, valid until ``close``."""
         return Bodies(self._client, self._arm, _CUP, self._object, self._table)
 
-    def home(self) -> None:
+    def stand_at(self, joints_rad: Sequence[float]) -> None:
         client = {"physicsClientId": self._client}
         bullet.resetSimulation(**client)
         self._obstacles, self._in_the_way = (), []
@@ -172,7 +172,7 @@ class SimArm(SimulatedArm):
         # Base and turret stand above the table for good, so those pairs need no collision test.
         for link in (-1, 0):
             bullet.setCollisionFilterPair(self._arm, table, link, -1, 0, **client)
-        for joint, angle in zip(_JOINTS, self._start(), strict=True):
+        for joint, angle in zip(_JOINTS, self._start(joints_rad), strict=True):
             bullet.resetJointState(self._arm, joint, angle, **client)
 
     def _box(

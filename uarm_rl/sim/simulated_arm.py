@@ -113,8 +113,8 @@ CAMERA: Final = Camera()
 class SimulatedArm(ABC):
     """``Arm`` and ``Target`` in one simulated world: arm, table and a box that lies on it.
 
-    ``home`` makes the world as if it were new, so that every episode is the same whatever ran before it. A copy, by
-    ``copy.deepcopy`` or ``pickle``, has a world of its own, made anew.
+    ``stand_at``, and with it ``home``, makes the world as if it were new, so that every episode is the same whatever ran
+    before it. A copy, by ``copy.deepcopy`` or ``pickle``, has a world of its own, made anew.
 
     Raises :class:`ValueError` with a sentence for values out of range, :class:`ArmError` where no window can be opened.
     """
@@ -171,8 +171,8 @@ class SimulatedArm(ABC):
     # What an engine answers
 
     @abstractmethod
-    def home(self) -> None:
-        """Make the world anew: arm at rest in the home pose, object parked out of reach, no obstacles."""
+    def stand_at(self, joints_rad: Sequence[float]) -> None:
+        """Make the world anew: arm at rest in that pose, object parked out of reach, no obstacles."""
 
     @abstractmethod
     def read_joints(self) -> JointPositions: ...
@@ -226,9 +226,13 @@ class SimulatedArm(ABC):
         """An RGB picture, shape (height, width, 3), of arm and object from the side and above, as they are now."""
         return self.draw(self.scene(), width, height)
 
-    def _start(self) -> Chain:
+    def home(self) -> None:
+        """As :meth:`stand_at`, in the home pose."""
+        self.stand_at(kinematics.HOME_JOINTS_RAD.tolist())
+
+    def _start(self, joints_rad: Sequence[float]) -> Chain:
         """The pose in which an episode begins; the servo is at rest in it."""
-        joint1, joint2, joint3 = kinematics.HOME_JOINTS_RAD.tolist()
+        joint1, joint2, joint3 = joints_rad
         self._servo.reset((joint1, joint2, joint3))
         return joint1, joint2, joint3, kinematics.level(joint2, joint3)
 

@@ -28,6 +28,10 @@ class Arm(Protocol):
         """Bring the arm to its home pose, at rest."""
         ...
 
+    def stand_at(self, joints_rad: Sequence[float]) -> None:
+        """As ``home``, in another pose. Raises :class:`ArmError` where it takes a way to get there."""
+        ...
+
     def read_joints(self) -> JointPositions:
         """Where the joints are."""
         ...

@@ -39,7 +39,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     number. *Step*: the command acts until ``hold`` releases it. *Reward*: ``reward``, equation (4) of the paper.
 
     ``layouts`` is what may stand where: an object alone, or obstacles too, which are then behind the other numbers of the
-    observation. One that is drawn begins at home.
+    observation. One that is drawn begins at home, or where it says.
 
     ``terminated``: success (``info["is_success"]``), the cup stayed within ``tolerance_m`` of the target for ``dwell_s``
     without a break (the flag); or the arm touched an obstacle, and success is out of reach. ``truncated``:
@@ -138,11 +138,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self.arm.home()
             self.target = self._ghost if self._is_ghost(options.get("ghost")) else self._solid
             self._tolerance_m = self._tolerance(options.get("tolerance_m"))
-        self._joints = self.arm.read_joints()
-        self._link_ends = kinematics.forward(self._joints)
-        if homes or self.arm.at_rest:  # else the arm is still doing what it was told before
-            self._reference = self._before = self._joints
-            self._passed, self._last_action = 1, np.zeros(ACTION_SIZE + self._hold.choices)
+        self._stand(at_rest=homes or self.arm.at_rest)  # else the arm is still doing what it was told before
         self._observation.begin()
         self._object, self._in_reach = self._place(options.get("object_position"), options.get("obstacles")), True
         self._dwelt_steps = 0
@@ -154,6 +150,14 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.render_mode == "rgb_array_list":
             self._pictures = [self._picture()]
         return self._observe(), self._info(RewardTerms(0.0, 0.0, 0.0))
+
+    def _stand(self, *, at_rest: bool) -> None:
+        """Look where the arm is before a first decision."""
+        self._joints = self.arm.read_joints()
+        self._link_ends = kinematics.forward(self._joints)
+        if at_rest:
+            self._reference = self._before = self._joints
+            self._passed, self._last_action = 1, np.zeros(ACTION_SIZE + self._hold.choices)
 
     def _is_ghost(self, wanted: bool | None) -> bool:
         if wanted is None:
@@ -172,6 +176,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         else:
             told = in_order(obstacles.boxes("obstacles", in_the_way))
             layout = Layout(positions.within_reach("object_position", object_m), told)
+        if layout.start_rad is not None:
+            self.arm.stand_at(layout.start_rad.tolist())
+            self._stand(at_rest=True)
         if self._layouts.slots:
             self.arm.place_obstacles(layout.obstacles)
         elif layout.obstacles:

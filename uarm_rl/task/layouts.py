@@ -43,10 +43,14 @@ _LIFTS_M: Final = tuple((radius, height) for height in (0.22, 0.26, 0.17, 0.12) 
 
 
 class Layout(NamedTuple):
-    """The centre of the object's upper surface (x, y, z, m), and what stands in the way."""
+    """The centre of the object's upper surface (x, y, z, m), what stands in the way, and the joints that the arm begins with.
+
+    ``start_rad``, shape (3,), is ``None`` for home.
+    """
 
     object_m: Vector
     obstacles: tuple[Box, ...] = ()
+    start_rad: Vector | None = None
 
     def options(self) -> dict[str, Any]:
         """What the environment's ``reset`` takes for it."""
@@ -81,10 +85,12 @@ class Reach:
 class Obstacles:
     """One to ``slots`` boxes between home and object; ``touching`` is the reward of a decision in which the arm touches one.
 
-    Every attempt begins at home, and ends when an obstacle is touched.
+    An attempt ends when an obstacle is touched. It begins at home, but for a share ``elsewhere`` of those in training, which
+    begin in any pose clear of all obstacles: who has to come past them to the object would see it seldom while it learns to.
     """
 
-    def __init__(self, slots: int, touching: float) -> None:
+    def __init__(self, slots: int, touching: float, elsewhere: float = 0.0) -> None:
+        self._elsewhere = checks.number("task.elsewhere", elsewhere, low=0.0, high=1.0)
         self.slots = checks.integer("task.slots", slots, low=1, high=SLOTS)
         self.touching = checks.number("task.touching", touching, low=-1e4, high=0.0)
 
@@ -93,7 +99,8 @@ class Obstacles:
         while True:
             layout = self._sketch(generator, height_m, count)
             if layout is not None and way(layout) is not None:
-                return layout
+                begins_elsewhere = self._elsewhere > 0.0 and generator.random() < self._elsewhere
+                return layout._replace(start_rad=_clear_pose(generator, layout)) if begins_elsewhere else layout
 
     def _sketch(self, generator: np.random.Generator, height_m: float, count: int) -> Layout | None:
         """A layout that may have no way yet; ``None`` if things stand in each other, or nothing is in the way."""
@@ -110,6 +117,16 @@ class Obstacles:
             found.append(Box((x, y, tall_m / 2.0), (length_m, width_m, tall_m)))
         layout = Layout(object_m, in_order(found))
         return layout if not fault(layout) and _blocks(layout) else None
+
+
+def _clear_pose(generator: np.random.Generator, layout: Layout) -> Vector:
+    """Any pose in which the cup is above the object and the whole arm 10 mm away from all obstacles."""
+    low, high = kinematics.JOINT_LIMITS_RAD.T
+    while True:
+        pose: Vector = generator.uniform(low, high)
+        above = kinematics.within_limits(pose) and kinematics.cup_position(pose)[2] >= layout.object_m[2] + _CLEARANCE_M
+        if above and clearances_m(pose[np.newaxis], layout.obstacles).min() >= _CLEARANCE_M:
+            return pose
 
 
 def _blocks(layout: Layout) -> bool:
