@@ -91,7 +91,7 @@ def shortened(words: list[str]) -> list[str]:
     rest += SHORT.get(command, ())
     if command == "evaluate":
         rest = [*(word for word in rest if not word.startswith("positions=")), "positions=two.csv"]
-        rest += [] if any(word.startswith("out=") for word in rest) else ["out=two-evaluation.csv"]
+        rest += [] if any(word.startswith("out=") for word in rest) else ["out=two-evaluation.csv", "overwrite=true"]
     return [command, *rest]
 
 
