@@ -67,12 +67,12 @@ def test_a_touch_costs_is_told_and_ends_the_attempt(env):
     for _ in range(4):
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0, 0.0], np.float32))
         told = info["reward_distance"] + info["reward_progress"] + info["reward_displacement"]
-        assert reward == pytest.approx(told - (3.0 if info["touched"] else 0.0))
+        assert reward == pytest.approx(told - (1.0 if info["touched"] else 0.0))
         if info["touched"]:
             break
     assert (terminated, truncated, info["is_success"], info["touched"]) == (True, False, False, True)
     assert info["obstacle_contact_n"] > 0.1
-    assert info["reward_touching"] == -3.0
+    assert info["reward_touching"] == -1.0
     assert info["control_steps"] < 12  # at once, and not when the arm has come to rest
     assert not env.reset(seed=0, options=options)[1]["touched"]
 
