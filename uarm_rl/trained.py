@@ -26,7 +26,7 @@ def value_range(settings: Settings) -> tuple[float, float]:
     gamma = settings["agent"]["gamma"]  # per control step too: a decision may take no more than one
     horizon = 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
     lowest, highest = build("reward", settings["reward"]).bounds(2.0 * REACH_M, HEIGHT_M)
-    return (lowest + build("task", settings["task"]).touching) * horizon, highest * horizon
+    return lowest * horizon + build("task", settings["task"]).touching, highest * horizon
 
 
 def policy_card(settings: Settings) -> PolicyCard:

@@ -9,9 +9,9 @@ from tests.learn.test_train import ORDINARY, learner, run
 from uarm_rl import configuration
 from uarm_rl.checks import UsageError
 from uarm_rl.commands import train as commands_train
-from uarm_rl.learn.hindsight import Hindsight, touched
+from uarm_rl.learn.hindsight import Hindsight, met_object
 from uarm_rl.learn.returns import Transition
-from uarm_rl.task import positions
+from uarm_rl.task import layouts, positions
 from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG, obstacles_in
 
 ACTION = np.array([0.9, -0.7, 0.4], np.float32)
@@ -20,7 +20,7 @@ ACTION = np.array([0.9, -0.7, 0.4], np.float32)
 def hindsight(targets: int, seed: int = 0, slots: int = 0) -> Hindsight:
     reward = configuration.build("reward", configuration.compose("train", ("reward=penalty",))["reward"])
     generator = np.random.default_rng(seed)
-    return Hindsight(targets=targets, reward=reward, object_height_m=0.03, generator=generator, slots=slots)
+    return Hindsight(targets=targets, reward=reward, object_height_m=0.03, generator=generator, slots=slots, touching=-3.0)
 
 
 def decided(flag: float = 0.0) -> Transition:
@@ -37,7 +37,7 @@ def test_it_tells_what_the_environment_would_have_told(make_env, engine):
     env = make_env(f"sim={engine}", "buffer=adaptive", "reward=penalty")
     before, _ = env.reset(seed=0, options={"object_position": (0.2, 0.2, 0.03)})
     after, reward, *_, info = env.step(ACTION)
-    assert not touched(info)
+    assert not met_object(info)
     made = hindsight(20).of(Transition(before, ACTION, reward, after, 0.9))
     assert len({one.reward for one in made}) == 20
     for one in made:
@@ -52,48 +52,44 @@ def test_it_tells_what_the_environment_would_have_told(make_env, engine):
         assert one.discount == 0.9
 
 
-def test_other_obstacles_are_told_where_the_arm_goes_clear_of_them(make_env, engine):
-    """Half of them, unless the arm came to them; and then too the environment says the same."""
-    env = make_env(f"sim={engine}", "buffer=adaptive", "reward=penalty", "task=obstacles")
-    there, near, far = (
-        [0.2, 0.24, 0.05, 0.04, 0.04, 0.1],
-        [0.2, 0.06, 0.1, 0.06, 0.04, 0.2],
-        [0.1, -0.3, 0.03, 0.05, 0.05, 0.06],
-    )
+def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, engine, monkeypatch):
+    """Half of the time: those that the arm went clear of, and those that it came to beyond doubt, which end the attempt."""
+    env = make_env(f"sim={engine}", "buffer=adaptive", "reward=penalty", "task=obstacles", "task.touching=-3")
+    there, far = [0.2, 0.24, 0.05, 0.04, 0.04, 0.1], [0.1, -0.3, 0.03, 0.05, 0.05, 0.06]
+    near, around = [0.2, 0.085, 0.1, 0.06, 0.04, 0.2], [0.2, 0.0, 0.1, 0.06, 0.04, 0.2]
     where = {"object_position": (0.25, 0.2, 0.03)}
-    seen = [env.reset(options=where | {"obstacles": others})[0] for others in ([near], [far], [far, there])]
+    seen = [env.reset(options=where | {"obstacles": others})[0] for others in ([near], [far], [far, there], [around])]
     before, _ = env.reset(options=where | {"obstacles": [there]})
     after, reward, *_, info = env.step(ACTION)
-    assert info["reward_touching"] == 0.0
+    assert not info["touched"]
     made = hindsight(200, slots=3).of(Transition(before, ACTION, reward, after, 0.9), seen=np.array(seen))
     told = [obstacles_in(one.observation, 3) for one in made]
     kinds = {others: told.count(others) for others in told}
-    assert set(kinds) == {obstacles_in(one, 3) for one in (before, seen[1], seen[2])}  # never the near one
-    assert 0.5 < kinds[obstacles_in(before, 3)] / len(made) < 0.85
-    assert env.reset(options=where | {"obstacles": [near]})[1]["touched"] is False
-    assert env.step(ACTION)[4]["touched"]
-    for one in made[:20]:
+    assert set(kinds) == {obstacles_in(one, 3) for one in (before, *seen[:3])}  # never the one that the arm stands in
+    assert 0.5 < kinds[obstacles_in(before, 3)] / len(made) < 0.8
+    ends = set()
+    for one, others in zip(made[:30], told, strict=False):
         target = (one.observation[CUP] + one.observation[CUP_TO_OBJECT]).astype(float)
-        options = {"object_position": target, "ghost": True}
-        told_to = [[*box.centre_m, *box.size_m] for box in obstacles_in(one.observation, 3)]
-        observation, _ = env.reset(options=options | {"obstacles": told_to})
-        then, earned, *_, ended = env.step(ACTION)
-        assert not ended["touched"]
+        monkeypatch.setattr(layouts.Obstacles, "draw", lambda *_: layouts.Layout(target, others, padded=True))  # noqa: B023
+        observation, _ = env.reset(options={"ghost": True})
+        then, earned, terminated, _, ended = env.step(ACTION)
+        assert terminated == ended["touched"] == (one.discount == 0.0)
         np.testing.assert_allclose(one.observation, observation, atol=1e-6)
-        np.testing.assert_allclose(one.next_observation, then, atol=1e-6)
         assert one.reward == pytest.approx(earned, abs=1e-5)
+        if not terminated:
+            np.testing.assert_allclose(one.next_observation, then, atol=1e-6)
+        ends.add(terminated)
+    assert ends == {False, True}
 
 
-def test_an_obstacle_that_was_touched_stays_and_costs_what_it_did(make_env):
+def test_an_obstacle_that_was_touched_stays_whatever_the_target(make_env):
     env = make_env("buffer=adaptive", "reward=penalty", "task=obstacles", "task.touching=-3")
     before, _ = env.reset(options={"object_position": (0.25, 0.2, 0.03), "obstacles": [0.2, 0.06, 0.1, 0.06, 0.04, 0.2]})
     after, reward, *_, info = env.step(ACTION)
-    assert info["reward_touching"] == -3.0
-    free = hindsight(30, slots=3)
-    made = free.of(Transition(before, ACTION, reward, after, 0.9), info["reward_touching"], np.array([before]))
+    assert info["touched"]
+    made = hindsight(30, slots=3).of(Transition(before, ACTION, reward, after, 0.0), touched=True, seen=np.array([before]))
     assert {obstacles_in(one.observation, 3) for one in made} == {obstacles_in(before, 3)}
-    again = hindsight(30, slots=3).of(Transition(before, ACTION, reward, after, 0.9))
-    assert max(one.reward for one in made) < -1.5 < max(one.reward for one in again)
+    assert {(one.reward, one.discount) for one in made} == {(-3.0, 0.0)} == {(info["reward_touching"], 0.0)}
 
 
 def test_targets_lie_where_objects_may_and_many_of_them_near_the_cup():
@@ -120,7 +116,7 @@ def test_without_targets_there_is_nothing_and_nothing_is_drawn():
     assert generator.bit_generator.state == np.random.default_rng(0).bit_generator.state
 
 
-FREE = ORDINARY | {"contact_n": 0.0, "reward_touching": 0.0, "object_moved_m": 1e-5}
+FREE = ORDINARY | {"contact_n": 0.0, "touched": False, "object_moved_m": 1e-5}
 
 
 @pytest.mark.parametrize(
@@ -130,7 +126,7 @@ FREE = ORDINARY | {"contact_n": 0.0, "reward_touching": 0.0, "object_moved_m": 1
         (FREE | {"contact_n": 0.1}, 4),
         (FREE | {"object_moved_m": 0.001}, 4),
         (FREE | {"terminated": True, "is_success": True}, 4),  # it ended early, which it would not have elsewhere
-        (FREE | {"terminated": True, "reward_touching": -3.0}, 4 * 3),  # at an obstacle, and that stands where it stands
+        (FREE | {"terminated": True, "touched": True}, 4 * 3),  # at an obstacle, and that stands where it stands
     ],
 )
 def test_only_what_did_not_touch_the_object_is_learned_from_again_and_nothing_counts_twice(answer, stored):

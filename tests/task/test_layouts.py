@@ -66,13 +66,12 @@ def test_a_touch_costs_is_told_and_ends_the_attempt(env):
     assert (info["touched"], info["obstacle_contact_n"]) == (False, 0.0)
     for _ in range(4):
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0, 0.0], np.float32))
-        told = info["reward_distance"] + info["reward_progress"] + info["reward_displacement"]
-        assert reward == pytest.approx(told - (1.0 if info["touched"] else 0.0))
         if info["touched"]:
             break
+        assert reward == pytest.approx(info["reward_distance"] + info["reward_progress"] + info["reward_displacement"])
     assert (terminated, truncated, info["is_success"], info["touched"]) == (True, False, False, True)
     assert info["obstacle_contact_n"] > 0.1
-    assert info["reward_touching"] == -1.0
+    assert reward == info["reward_touching"] == -1.0
     assert info["control_steps"] < 12  # at once, and not when the arm has come to rest
     assert not env.reset(seed=0, options=options)[1]["touched"]
 
@@ -99,7 +98,7 @@ def test_obstacles_are_seen_behind_the_other_numbers_and_gone_with_the_next_layo
 def test_drawn_layouts_have_a_way_and_something_in_it():
     generator, task, counts = np.random.default_rng(5), layouts.Obstacles(3, -1.0), set()
     for _ in range(3):
-        object_m, obstacles, _ = layout = task.draw(generator, 0.03, np.zeros(3))
+        object_m, obstacles, *_ = layout = task.draw(generator, 0.03, np.zeros(3))
         counts.add(len(obstacles))
         assert not layouts.fault(layout)
         legs = layouts.way(layout)
@@ -124,6 +123,22 @@ def test_some_attempts_of_a_training_begin_elsewhere_and_no_test_does(env):
     assert 3 <= sum(begun) <= 9
     env.reset(seed=0, options=IN_THE_WAY.options())
     assert env.unwrapped.arm.read_joints() == pytest.approx(home)
+
+
+def test_in_training_the_arm_is_padded_and_in_a_test_it_is_not(env, monkeypatch):
+    beside = Box((0.2, 0.1, 0.1), (0.05, 0.07, 0.2))
+    layout = layouts.Layout(np.array([0.2, 0.0, 0.03]), (beside,), padded=True)
+    monkeypatch.setattr(layouts.Obstacles, "draw", lambda *_: layout)
+    turn, touched = np.array([1.0, 0.0, 0.0], np.float32), []
+    for options in ({}, layout.options()):
+        env.reset(seed=0, options=options)
+        count, terminated = 0, False
+        while not terminated:
+            *_, terminated, _, info = env.step(turn)
+            count += 1
+        touched.append((count, info["touched"], info["obstacle_contact_n"] > 0.0))
+    assert touched[0] == (1, True, False)
+    assert touched[1] == (2, True, True)
 
 
 def test_the_committed_layouts_are_those_of_their_seeds():

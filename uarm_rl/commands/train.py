@@ -307,6 +307,7 @@ def _learner(settings: Settings) -> Learner:
             object_height_m=settings["sim"]["object_size_m"],
             generator=draws,
             slots=slots_of(settings),
+            touching=build("task", settings["task"]).touching,
         ),
     )
 

@@ -7,7 +7,8 @@ from many times, and where it is simulated slowly that is what counts.
 
 It is right where the object was not touched. A decision in which the cup met the object, or moved it, stands for itself alone;
 an obstacle that was touched is touched whatever the target, and costs the same. Where none was, the decision tells of other
-obstacles too, those of another experience, if the whole arm would have gone clear of them. At a
+obstacles too, those of another experience: if the whole arm would have gone clear of them nothing else changes, and if it would
+have run into them beyond doubt it would have ended there. At a
 target that is made up there is nothing solid, as with ``ghost_share``; what an object does to the arm only the true decisions
 tell. Nor is it known for how long the cup would have been near enough, so no such decision ends in success: it is worth what
 staying there is worth, which differs by the few millimetres within the tolerance.
@@ -27,7 +28,7 @@ from uarm_rl.learn.returns import Transition
 from uarm_rl.task import positions
 from uarm_rl.task.kinematics import Vector
 from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG, JOINTS, OBSTACLE_NAMES, obstacles_in
-from uarm_rl.task.obstacles import way_clearances_m
+from uarm_rl.task.obstacles import clearances_m, way_clearances_m
 from uarm_rl.task.reward import DistanceReward
 
 Array = NDArray[np.float32]
@@ -40,11 +41,13 @@ _NEAREST_M, _FARTHEST_M = 0.001, 0.15
 _OTHERS: Final = 0.5  # the share of the made-up decisions that are told with other obstacles
 _OVERSHOT: Final = 0.2  # of a way in angles: a servo swings beyond its end, and back beyond its beginning
 _STEP_RAD: Final = 0.05
+_LOOKS: Final = 5  # poses on that way
+_DOUBT_M: Final = 0.003  # a servo's way is not quite straight
 
 _SETTLING_M: Final = 1e-4  # an object that was put down settles by some hundredths of a millimetre
 
 
-def touched(info: Mapping[str, Any]) -> bool:
+def met_object(info: Mapping[str, Any]) -> bool:
     """Whether the arm met the object in a decision, as far as the environment's ``info`` of it knows."""
     return bool(info["contact_n"] > 0.0 or info["object_moved_m"] > _SETTLING_M)
 
@@ -53,7 +56,8 @@ class Hindsight:
     """Makes ``targets`` further transitions of each decision; none if that is 0.
 
     ``generator`` draws the targets, within the operating range as the task's own: half of them uniformly, half about the cup,
-    at a distance that is drawn log-uniformly. ``slots``: how many obstacles an observation has room for.
+    at a distance that is drawn log-uniformly. ``slots``: how many obstacles an observation has room for;
+    ``touching``: the reward of touching one.
     """
 
     def __init__(
@@ -64,18 +68,19 @@ class Hindsight:
         object_height_m: float,
         generator: np.random.Generator,
         slots: int = 0,
+        touching: float = 0.0,
     ) -> None:
-        self._slots = slots
+        self._slots, self._touching = slots, touching
         self._targets = checks.integer("hindsight_targets", targets, low=0, high=1000)
         self._reward = reward
         self._object_height_m = object_height_m
         self._generator = generator
 
-    def of(self, decision: Transition, touching: float = 0.0, seen: Array | None = None) -> list[Transition]:
+    def of(self, decision: Transition, *, touched: bool = False, seen: Array | None = None) -> list[Transition]:
         """The same decision with other targets. Its ``discount`` is that of a decision which ends nothing.
 
-        ``touching``: what its reward has for an obstacle that was touched. ``seen``: observations, shape (n, size), in
-        which other obstacles stand; without them it is told with its own.
+        ``touched``: whether an obstacle was. ``seen``: observations, shape (n, size), in which other obstacles stand; without
+        them it is told with its own.
         """
         cup, next_cup = decision.observation[CUP].tolist(), decision.next_observation[CUP].tolist()
         made = []
@@ -83,27 +88,31 @@ class Hindsight:
             target = self._near(next_cup) if self._generator.random() < _NEAR else None
             if target is None:
                 target = positions.draw(self._generator, self._object_height_m)
-            place, others = target.tolist(), None
-            if self._slots and seen is not None and len(seen) and touching == 0.0 and self._generator.random() < _OTHERS:
-                others = self._others(decision, seen[self._generator.integers(len(seen))])
+            place, others, ends = target.tolist(), None, touched
+            if self._slots and seen is not None and len(seen) and not touched and self._generator.random() < _OTHERS:
+                others, ends = self._others(decision, seen[self._generator.integers(len(seen))])
             made.append(
                 decision._replace(
                     observation=_told(decision.observation, target, others),
-                    reward=self._reward(cup, place, next_cup, place, touching=touching).total,
+                    reward=self._touching if ends else self._reward(cup, place, next_cup, place).total,
                     next_observation=_told(decision.next_observation, target, others),
+                    discount=0.0 if ends else decision.discount,
                 )
             )
         return made
 
-    def _others(self, decision: Transition, seen: Array) -> Array | None:
-        """The obstacles of another observation, as they stand in it; none if the arm would have come to them on its way."""
+    def _others(self, decision: Transition, seen: Array) -> tuple[Array | None, bool]:
+        """The obstacles of another observation, as they stand in it, and whether the arm would have touched them.
+
+        None where that is not known.
+        """
         start, end = (one[JOINTS].astype(np.float64) for one in (decision.observation, decision.next_observation))
         beyond = _OVERSHOT * (end - start)
-        obstacles = obstacles_in(seen, self._slots)
-        way = (start - beyond).tolist(), (end + beyond).tolist()
-        if way_clearances_m(*way, obstacles, _STEP_RAD).min() <= 0.0:
-            return None
-        return seen[-self._slots * len(OBSTACLE_NAMES) :]
+        obstacles, told = obstacles_in(seen, self._slots), seen[-self._slots * len(OBSTACLE_NAMES) :]
+        if way_clearances_m((start - beyond).tolist(), (end + beyond).tolist(), obstacles, _STEP_RAD).min() > 0.0:
+            return told, False
+        first, *others = clearances_m(np.linspace(start, end, _LOOKS), obstacles).tolist()
+        return (told, True) if first > 0.0 and min(others) < -_DOUBT_M else (None, False)
 
     def _near(self, cup_m: list[float]) -> Vector | None:
         """A target about the cup; none if the one that was drawn is out of range."""

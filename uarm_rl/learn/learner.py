@@ -15,7 +15,7 @@ from uarm_rl.learn.admission import Admission
 from uarm_rl.learn.async_env import AsyncEnv, Step
 from uarm_rl.learn.checkpoint import Checkpoint, CheckpointError
 from uarm_rl.learn.ddpg import DDPG
-from uarm_rl.learn.hindsight import Hindsight, touched
+from uarm_rl.learn.hindsight import Hindsight, met_object
 from uarm_rl.learn.noise import OrnsteinUhlenbeck
 from uarm_rl.learn.replay import ReplayBuffer
 from uarm_rl.learn.returns import Transition
@@ -85,10 +85,10 @@ class Learner:
                     )
                 )
             )
-            if self.hindsight and not info["is_success"] and not touched(info):
+            if self.hindsight and not info["is_success"] and not met_object(info):
                 discount = 0.0 if terminated else returns.discount(info["control_steps"])
                 free = Transition(observation, action, reward, next_observation, discount)
-                self._store(self.hindsight.of(free, info["reward_touching"], self.replay.observations))
+                self._store(self.hindsight.of(free, touched=info["touched"], seen=self.replay.observations))
             self.counters.experiences += 1
         else:
             self.end_chain()

@@ -42,9 +42,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     observation. One that is drawn begins at home, or where it says.
 
     ``terminated``: success (``info["is_success"]``), the cup stayed within ``tolerance_m`` of the target for ``dwell_s``
-    without a break (the flag); or the arm touched an obstacle, and success is out of reach. ``truncated``:
-    ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach, or the simulation
-    exploded (``info["exploded"]``; only a reset with ``home`` mends it).
+    without a break (the flag); or the arm touched an obstacle, and success is out of reach. In a layout that is drawn a
+    touch is one of the capsules around the arm (:mod:`uarm_rl.task.obstacles`), in others one that the engine feels.
+    ``truncated``: ``time_limit_s`` of arm time has passed (``None``: no limit), the object was pushed out of reach, or the
+    simulation exploded (``info["exploded"]``; only a reset with ``home`` mends it).
 
     ``reset`` takes the options ``object_position`` (three numbers, m; default: a random one), with it ``obstacles`` (six
     numbers each, see :func:`uarm_rl.task.obstacles.boxes`; default: none), ``home`` (default true; false leaves the arm
@@ -183,7 +184,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self.arm.place_obstacles(layout.obstacles)
         elif layout.obstacles:
             raise ValueError("this task has no obstacles; task=obstacles has some")
-        self._in_the_way = layout.obstacles
+        self._in_the_way, self._padded, self._touched = layout.obstacles, layout.padded, False
         self.target.place_object(layout.object_m)
         x, y, z = layout.object_m.tolist()
         return x, y, z
@@ -197,7 +198,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._trace, self._moments, control_steps = [], [], 0
         self._press_m = self._contact_n = 0.0
         lost = timed_out = released = exploded = False
-        while not (self._flag or self._touch_n or lost or timed_out or released):
+        while not (self._flag or self._touched or lost or timed_out or released):
             earlier, last = self._before, self._joints
             try:
                 passed = self.arm.advance()
@@ -209,6 +210,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             control_steps += passed
             self._trace.append(self.state())
             self._touch_n = self.arm.touch_n() if self._in_the_way else 0.0
+            self._touched = self._touch_n > 0.0 or (self._padded and self._clearance_m() < 0.0)
             timed_out = self._elapsed_steps >= self._step_limit
             travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
             change_rad = 0.0 if self.arm.at_rest else _change(earlier, last, self._joints)
@@ -217,14 +219,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 self._moments.append(self._moment(travel_rad, change_rad, control_steps))
             if self.render_mode == "rgb_array_list":
                 self._pictures.append(self._picture())
-        terms = self._reward(
-            start_cup,
-            start_object,
-            self._link_ends[3].tolist(),
-            self._object,
-            self._press_m,
-            self._layouts.touching if self._touch_n else 0.0,
-        )
+        if self._touched:
+            terms = RewardTerms(0.0, 0.0, 0.0, touching=self._layouts.touching)
+        else:
+            terms = self._reward(start_cup, start_object, self._link_ends[3].tolist(), self._object, self._press_m)
         info = self._info(
             terms,
             control_steps=control_steps,
@@ -236,7 +234,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         if self._keep_within:
             info["within"] = [] if exploded else self._within(self._flag or lost or timed_out)
-        terminated = self._flag or self._touch_n > 0.0
+        terminated = self._flag or self._touched
         return self._observe(), terms.total, terminated, (lost or timed_out or exploded) and not terminated, info
 
     def _moment(self, travel_rad: float, change_rad: float, control_steps: int) -> Moment:
@@ -262,7 +260,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> dict[str, Any]:
         """What vector environments can batch: the same keys, shapes and types every time."""
         return {
-            "is_success": self._flag and not self._touch_n,
+            "is_success": self._flag and not self._touched,
             "distance_m": self._distance_m(),
             "object_position": np.array(self._object),
             "control_steps": control_steps,
@@ -279,7 +277,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "press_m": self._press_m,
             "reference_press_m": self._reference_press_m,
             "contact_n": self._contact_n,
-            "touched": self._touch_n > 0.0,
+            "touched": self._touched,
             "obstacle_contact_n": self._touch_n,
         }
 
@@ -344,6 +342,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """How far a cup there is below the object's upper surface, if any of its lip is over it."""
         (x, y, z), (at_x, at_y, top_m) = cup_m, self._object
         return max(0.0, top_m - z) if max(abs(x - at_x), abs(y - at_y)) <= self._over_m else 0.0
+
+    def _clearance_m(self) -> float:
+        """How far the arm, with all that moves with it, is from the nearest obstacle."""
+        return float(obstacles.clearances_m(np.array([self._joints]), self._in_the_way)[0])
 
     def _distance_m(self) -> float:
         return math.dist(self._link_ends[3].tolist(), self._object)

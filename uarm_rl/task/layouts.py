@@ -45,12 +45,13 @@ _LIFTS_M: Final = tuple((radius, height) for height in (0.22, 0.26, 0.17, 0.12) 
 class Layout(NamedTuple):
     """The centre of the object's upper surface (x, y, z, m), what stands in the way, and the joints that the arm begins with.
 
-    ``start_rad``, shape (3,), is ``None`` for home.
+    ``start_rad``, shape (3,), is ``None`` for home. ``padded``: what comes within the capsules around the arm is touched.
     """
 
     object_m: Vector
     obstacles: tuple[Box, ...] = ()
     start_rad: Vector | None = None
+    padded: bool = False
 
     def options(self) -> dict[str, Any]:
         """What the environment's ``reset`` takes for it."""
@@ -59,7 +60,7 @@ class Layout(NamedTuple):
 
 
 class Layouts(Protocol):
-    """A task: where things stand, and what an obstacle's touch costs. ``slots``: how many obstacles are seen, 0 for none."""
+    """A task: where things stand, and the reward of a touch. ``slots``: how many obstacles are seen, 0 for none."""
 
     slots: int
     touching: float
@@ -83,10 +84,11 @@ class Reach:
 
 
 class Obstacles:
-    """One to ``slots`` boxes between home and object; ``touching`` is the reward of a decision in which the arm touches one.
+    """One to ``slots`` boxes between home and object; ``touching`` is the whole reward of a decision with a touch.
 
-    An attempt ends when an obstacle is touched. It begins at home, but for a share ``elsewhere`` of those in training, which
+    That ends the attempt. It begins at home, but for a share ``elsewhere`` of those in training, which
     begin in any pose clear of all obstacles: who has to come past them to the object would see it seldom while it learns to.
+    In training the arm is padded, so that a policy keeps off what it need not come near to.
     """
 
     def __init__(self, slots: int, touching: float, elsewhere: float = 0.0) -> None:
@@ -100,7 +102,7 @@ class Obstacles:
             layout = self._sketch(generator, height_m, count)
             if layout is not None and way(layout) is not None:
                 begins_elsewhere = self._elsewhere > 0.0 and generator.random() < self._elsewhere
-                return layout._replace(start_rad=_clear_pose(generator, layout)) if begins_elsewhere else layout
+                return layout._replace(start_rad=_clear_pose(generator, layout) if begins_elsewhere else None, padded=True)
 
     def _sketch(self, generator: np.random.Generator, height_m: float, count: int) -> Layout | None:
         """A layout that may have no way yet; ``None`` if things stand in each other, or nothing is in the way."""

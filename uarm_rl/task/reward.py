@@ -14,7 +14,10 @@ _LARGEST: Final = 1e4  # a weight; beyond it float32 has no room for the rest
 
 @dataclass(frozen=True)
 class RewardTerms:
-    """The three terms of equation (4), and two that are not the paper's; their sum is the reward."""
+    """The three terms of equation (4), and two that are not the paper's; their sum is the reward.
+
+    ``touching`` stands alone: an arm that touches an obstacle ends its attempt, and gets what the task has for that.
+    """
 
     distance: float  # alpha * r_d(s')
     progress: float  # beta * (r_d(s') - r_d(s))
@@ -72,12 +75,10 @@ class DistanceReward:
         next_cup_m: Sequence[float],
         next_object_m: Sequence[float],
         press_m: float = 0.0,
-        touching: float = 0.0,
     ) -> RewardTerms:
         """Terms of the reward for the step from (cup, object) to (next cup, next object), positions in metres.
 
-        ``press_m``: how deep the cup was below the object's upper surface on the way, at most. ``touching``: what
-        it costs to have touched an obstacle there, which is the task's to say.
+        ``press_m``: how deep the cup was below the object's upper surface on the way, at most.
         """
         before = self.distance_reward(cup_m, object_m)
         after = self.distance_reward(next_cup_m, next_object_m)
@@ -86,5 +87,4 @@ class DistanceReward:
             progress=self.beta * (after - before),
             displacement=self.sigma * math.dist(object_m, next_object_m),
             pressing=self.pressing * press_m,
-            touching=touching,
         )
