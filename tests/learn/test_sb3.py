@@ -135,8 +135,9 @@ def test_episodes_are_as_long_as_ours_and_begin_at_home():
             return np.zeros(observation.SIZE, np.float32), {}
 
         def step(self, action):
-            info = {"control_steps": 3, "object_moved_m": 0.0, "object_lost": False, "exploded": False}
-            return np.zeros(observation.SIZE, np.float32), -1.0, len(homes) == 1, False, info
+            done = len(homes) == 1
+            info = {"control_steps": 3, "object_moved_m": 0.0, "object_lost": False, "exploded": False, "is_success": done}
+            return np.zeros(observation.SIZE, np.float32), -1.0, done, False, info
 
     one = TrainingEpisodes(Task(), 3)
     ends = []

@@ -11,6 +11,7 @@ Read ``report.py`` first: it assembles all of it. ``records.py`` reads and check
 - ``leaning.py``: the same policies with nothing solid to lean on, and with a cup that gives
 - ``engines.py``: the same policies in PyBullet and in MuJoCo
 - ``sample_efficiency.py``: success against what it cost
+- ``beyond.py``: past obstacles, and motors that are told torques
 - ``ablations.py``: the shorter runs that say why it works
 - ``arm_trials.py``: trials on an arm
 - ``replays.py``: recorded tests in 3-D, on the page alone
