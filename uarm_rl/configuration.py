@@ -176,14 +176,11 @@ def build_env(
 
 
 def actions_of(settings: Settings) -> str:
-    """What the actions of a whole training configuration are.
-
-    Raises :class:`UsageError` if its servo cannot take them, or its observation tells of a reference that there is none of.
-    """
-    actions: str = settings["actions"]
-    if (servo := checks.mapping("servo", settings["servo"]).get("name")) != "torque":
-        if actions == "torque":
-            raise UsageError(f"actions=torque needs servo=torque; servo={servo} is told where to go")
+    """What the actions of a whole training configuration are; :class:`UsageError` if servo or observation do not fit them."""
+    actions, servo = str(settings["actions"]), checks.mapping("servo", settings["servo"]).get("name")
+    if actions == "torque" and servo != "torque":
+        raise UsageError(f"actions=torque needs servo=torque; servo={servo} is told where to go")
+    if servo != "torque":
         return actions
     if actions not in ("joint", "torque"):
         raise UsageError(f"with servo=torque an action is a torque, which is relative to nothing; leave actions={actions} out")
@@ -194,8 +191,7 @@ def actions_of(settings: Settings) -> str:
 
 def slots_of(settings: Settings) -> int:
     """How many obstacles the task of a whole training configuration has at the most."""
-    slots: int = build("task", settings["task"]).slots
-    return slots
+    return int(build("task", settings["task"]).slots)
 
 
 def observation_of(settings: Settings) -> dict[str, Any]:

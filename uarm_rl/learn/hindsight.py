@@ -8,10 +8,11 @@ from many times, and where it is simulated slowly that is what counts.
 It is right where the object was not touched. A decision in which the cup met the object, or moved it, stands for itself alone;
 an obstacle that was touched is touched whatever the target, and costs the same. Where none was, the decision tells of other
 obstacles too, those of another experience: if the whole arm would have gone clear of them nothing else changes, and if it would
-have run into them beyond doubt it would have ended there. At a
-target that is made up there is nothing solid, as with ``ghost_share``; what an object does to the arm only the true decisions
-tell. Nor is it known for how long the cup would have been near enough, so no such decision ends in success: it is worth what
-staying there is worth, which differs by the few millimetres within the tolerance.
+have run into them beyond doubt it would have ended there.
+
+At a target that is made up there is nothing solid, as with ``ghost_share``; what an object does to the arm only the true
+decisions tell. Nor is it known for how long the cup would have been near enough, so no such decision ends in success: it is
+worth what staying there is worth, which differs by the few millimetres within the tolerance.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from uarm_rl import checks, columns
 from uarm_rl.task import kinematics, obstacles, positions
 from uarm_rl.task.arm import Arm, ArmError, Ghost, JointPositions, PhysicsError, Target
-from uarm_rl.task.hold import Hold
+from uarm_rl.task.hold import Hold, change_rad_of, travel_rad_of
 from uarm_rl.task.layouts import Layout, Layouts, Reach, in_order
 from uarm_rl.task.observation import Look, Observation, PaperObservation
 from uarm_rl.task.reward import DistanceReward, RewardTerms
@@ -210,10 +210,10 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             control_steps += passed
             self._trace.append(self.state())
             self._touch_n = self.arm.touch_n() if self._in_the_way else 0.0
-            self._touched = self._touch_n > 0.0 or (self._padded and self._clearance_m() < 0.0)
+            self._touched = self._touch_n > 0.0 or (self._padded and self._comes_near())
             timed_out = self._elapsed_steps >= self._step_limit
-            travel_rad = 0.0 if self.arm.at_rest else _travel(last, self._joints)  # encoders flicker at rest
-            change_rad = 0.0 if self.arm.at_rest else _change(earlier, last, self._joints)
+            travel_rad = 0.0 if self.arm.at_rest else travel_rad_of(last, self._joints)  # encoders flicker at rest
+            change_rad = 0.0 if self.arm.at_rest else change_rad_of(earlier, last, self._joints)
             released = hold.releases(control_steps, travel_rad, change_rad)
             if self._keep_within:
                 self._moments.append(self._moment(travel_rad, change_rad, control_steps))
@@ -227,7 +227,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             terms,
             control_steps=control_steps,
             clipped=clipped,
-            travel_rad=_travel(start_joints, self._joints),
+            travel_rad=travel_rad_of(start_joints, self._joints),
             object_moved_m=math.dist(start_object, self._object),
             object_lost=lost,
             exploded=exploded,
@@ -238,8 +238,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observe(), terms.total, terminated, (lost or timed_out or exploded) and not terminated, info
 
     def _moment(self, travel_rad: float, change_rad: float, control_steps: int) -> Moment:
-        cup, depth_m = self._link_ends[3].tolist(), self._depth_m(self._link_ends[3].tolist())
-        return Moment(self._observe(), self._joints, cup, self._object, depth_m, travel_rad, change_rad, control_steps)
+        cup = self._link_ends[3].tolist()
+        seen = self._observe(), self._joints, cup, self._object, self._depth_m(cup)
+        return Moment(*seen, travel_rad, change_rad, control_steps)
 
     def _within(self, ended: bool) -> list[Within]:
         def action_from(joints: JointPositions) -> NDArray[np.float64]:
@@ -311,7 +312,8 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             low, high = kinematics.JOINT_LIMITS_RAD.T
             one, two, three = ((low + high) / 2.0 + (high - low) / 2.0 * action).tolist()
             return one, two, three
-        d1, d2, d3 = ((_A_LITTLE_RAD if self._actions == "torque" else self._max_delta_rad) * action).tolist()
+        scale_rad = _A_LITTLE_RAD if self._actions == "torque" else self._max_delta_rad
+        d1, d2, d3 = (scale_rad * action).tolist()
         j1, j2, j3 = self._reference if self._actions == "reference" else self._joints
         return j1 + d1, j2 + d2, j3 + d3
 
@@ -343,9 +345,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         (x, y, z), (at_x, at_y, top_m) = cup_m, self._object
         return max(0.0, top_m - z) if max(abs(x - at_x), abs(y - at_y)) <= self._over_m else 0.0
 
-    def _clearance_m(self) -> float:
-        """How far the arm, with all that moves with it, is from the nearest obstacle."""
-        return float(obstacles.clearances_m(np.array([self._joints]), self._in_the_way)[0])
+    def _comes_near(self) -> bool:
+        """Whether an obstacle is within the capsules around the arm."""
+        return bool(obstacles.clearances_m(np.array([self._joints]), self._in_the_way)[0] < 0.0)
 
     def _distance_m(self) -> float:
         return math.dist(self._link_ends[3].tolist(), self._object)
@@ -391,12 +393,3 @@ def dwell_steps(dwell_s: float, control_hz: int) -> int:
     """So many looks in a row, a control step apart, have to find the cup near enough."""
     steps = math.ceil(checks.number("dwell_s", dwell_s, low=0.0, high=_LONGEST_S) * control_hz - 1e-9)
     return max(1, steps)  # a dwell of nothing: arriving is enough
-
-
-def _change(earlier: JointPositions, last: JointPositions, now: JointPositions) -> float:
-    """How much more or less a joint moved than in the control step before, at the most."""
-    return max(abs(c - 2.0 * b + a) for a, b, c in zip(earlier, last, now, strict=True))
-
-
-def _travel(start: JointPositions, end: JointPositions) -> float:
-    return max(abs(end[0] - start[0]), abs(end[1] - start[1]), abs(end[2] - start[2]))

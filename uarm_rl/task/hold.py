@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Final, Protocol
 
 from uarm_rl import checks
+from uarm_rl.task.arm import JointPositions
 
 #: What the published runs of method C took to come to rest, in the mean.
 _USUAL: Final = 13
@@ -145,3 +146,13 @@ class LearnedHold:
 
     def __str__(self) -> str:
         return f"learned(1..{self.max_control_steps})"
+
+
+def travel_rad_of(start: JointPositions, end: JointPositions) -> float:
+    """How far a joint moved between two looks, at the most."""
+    return max(abs(end[0] - start[0]), abs(end[1] - start[1]), abs(end[2] - start[2]))
+
+
+def change_rad_of(earlier: JointPositions, last: JointPositions, now: JointPositions) -> float:
+    """How much more or less a joint moved than between the two looks before, at the most."""
+    return max(abs(c - 2.0 * b + a) for a, b, c in zip(earlier, last, now, strict=True))
