@@ -243,7 +243,7 @@ def draw_outcomes(figure: Figure, table: pd.DataFrame, ends: Mapping[str, str]) 
     for (end, words), (colour, hatch) in zip(ends.items(), _ENDS, strict=False):
         axes.barh(rows, table[end], left=left, color=colour, hatch=hatch, edgecolor="white", linewidth=0, label=words)
         for row, start, share in zip(rows, left, table[end], strict=True):
-            if share >= 0.06:  # else there is no room
+            if share >= 0.14:  # else there is no room
                 box = {"facecolor": "white", "edgecolor": "none", "pad": 1}
                 axes.text(start + share / 2, row, tables.percent(share), ha="center", va="center", color="0.1", bbox=box)
         left = left + table[end]
