@@ -44,6 +44,7 @@ OPEN_SETS: Final = {
         "velocity": "uarm_rl.task.observation:VelocityObservation",
         "last_action": "uarm_rl.task.observation:LastActionObservation",
         "reference": "uarm_rl.task.observation:ReferenceObservation",
+        "arm_frame": "uarm_rl.task.observation:ArmFrameObservation",
         "stack": "uarm_rl.task.observation:StackedObservation",
     },
     "admission": {
@@ -147,7 +148,7 @@ def build_env(
     ):
         raise UsageError(
             "admission=every_step needs task=reach, actions=joint, another hold than learned, and an observation that hangs on "
-            "the present alone: paper, velocity or reference"
+            "the present alone: paper, velocity, reference or arm_frame"
         )
     sim = checks.mapping("sim", settings["sim"]) | {"gui": render_mode == "human"}
     servo, cup = build("servo", settings["servo"]), build("cup", settings["cup"])

@@ -12,15 +12,17 @@ from uarm_rl.commands import train as commands_train
 from uarm_rl.learn.hindsight import Hindsight, met_object
 from uarm_rl.learn.returns import Transition
 from uarm_rl.task import layouts, positions
-from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG, obstacles_in
+from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG, PaperObservation, kind, obstacles_in
 
 ACTION = np.array([0.9, -0.7, 0.4], np.float32)
 
 
-def hindsight(targets: int, seed: int = 0, slots: int = 0) -> Hindsight:
+def hindsight(targets: int, seed: int = 0, slots: int = 0, seen: str = "paper") -> Hindsight:
     reward = configuration.build("reward", configuration.compose("train", ("reward=penalty",))["reward"])
-    generator = np.random.default_rng(seed)
-    return Hindsight(targets=targets, reward=reward, object_height_m=0.03, generator=generator, slots=slots, touching=-3.0)
+    observation, generator = kind({"name": seen, "obstacles": slots}), np.random.default_rng(seed)
+    return Hindsight(
+        targets=targets, reward=reward, object_height_m=0.03, generator=generator, observation=observation, touching=-3.0
+    )
 
 
 def decided(flag: float = 0.0) -> Transition:
@@ -32,13 +34,14 @@ def decided(flag: float = 0.0) -> Transition:
     return Transition(seen, ACTION, -3.0, then, 0.9)
 
 
-def test_it_tells_what_the_environment_would_have_told(make_env, engine):
+@pytest.mark.parametrize("observation", ["paper", "arm_frame"])
+def test_it_tells_what_the_environment_would_have_told(make_env, engine, observation):
     """The same action in the same pose, with the object really lying where hindsight has put it."""
-    env = make_env(f"sim={engine}", "buffer=adaptive", "reward=penalty")
+    env = make_env(f"sim={engine}", "buffer=adaptive", "reward=penalty", f"observation={observation}")
     before, _ = env.reset(seed=0, options={"object_position": (0.2, 0.2, 0.03)})
     after, reward, *_, info = env.step(ACTION)
     assert not met_object(info)
-    made = hindsight(20).of(Transition(before, ACTION, reward, after, 0.9))
+    made = hindsight(20, seen=observation).of(Transition(before, ACTION, reward, after, 0.9))
     assert len({one.reward for one in made}) == 20
     for one in made:
         target = one.observation[CUP] + one.observation[CUP_TO_OBJECT]
@@ -52,9 +55,12 @@ def test_it_tells_what_the_environment_would_have_told(make_env, engine):
         assert one.discount == 0.9
 
 
-def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, engine, monkeypatch):
+@pytest.mark.parametrize("observation", ["paper", "arm_frame"])
+def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, engine, observation, monkeypatch):
     """Half of the time: those that the arm went clear of, and those that it came to beyond doubt, which end the attempt."""
-    env = make_env(f"sim={engine}", "buffer=adaptive", "reward=penalty", "task=obstacles", "task.touching=-3")
+    env = make_env(
+        f"sim={engine}", "buffer=adaptive", "reward=penalty", "task=obstacles", "task.touching=-3", f"observation={observation}"
+    )
     there, far = [0.2, 0.24, 0.05, 0.04, 0.04, 0.1], [0.1, -0.3, 0.03, 0.05, 0.05, 0.06]
     near, around = [0.2, 0.085, 0.1, 0.06, 0.04, 0.2], [0.2, 0.0, 0.1, 0.06, 0.04, 0.2]
     where = {"object_position": (0.25, 0.2, 0.03)}
@@ -62,7 +68,7 @@ def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, e
     before, _ = env.reset(options=where | {"obstacles": [there]})
     after, reward, *_, info = env.step(ACTION)
     assert not info["touched"]
-    made = hindsight(200, slots=3).of(Transition(before, ACTION, reward, after, 0.9), seen=np.array(seen))
+    made = hindsight(200, slots=3, seen=observation).of(Transition(before, ACTION, reward, after, 0.9), seen=np.array(seen))
     told = [obstacles_in(one.observation, 3) for one in made]
     kinds = {others: told.count(others) for others in told}
     assert set(kinds) == {obstacles_in(one, 3) for one in (before, *seen[:3])}  # never the one that the arm stands in
@@ -71,10 +77,10 @@ def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, e
     for one, others in zip(made[:30], told, strict=False):
         target = (one.observation[CUP] + one.observation[CUP_TO_OBJECT]).astype(float)
         monkeypatch.setattr(layouts.Obstacles, "draw", lambda *_: layouts.Layout(target, others, padded=True))  # noqa: B023
-        observation, _ = env.reset(options={"ghost": True})
+        stood, _ = env.reset(options={"ghost": True})
         then, earned, terminated, _, ended = env.step(ACTION)
         assert terminated == ended["touched"] == (one.discount == 0.0)
-        np.testing.assert_allclose(one.observation, observation, atol=1e-6)
+        np.testing.assert_allclose(one.observation, stood, atol=1e-6)
         assert one.reward == pytest.approx(earned, abs=1e-5)
         if not terminated:
             np.testing.assert_allclose(one.next_observation, then, atol=1e-6)
@@ -112,7 +118,12 @@ def test_the_decision_itself_is_left_as_it_was_and_no_other_is_a_success():
 def test_without_targets_there_is_nothing_and_nothing_is_drawn():
     generator = np.random.default_rng(0)
     reward = configuration.build("reward", configuration.compose("train")["reward"])
-    assert Hindsight(targets=0, reward=reward, object_height_m=0.03, generator=generator).of(decided()) == []
+    assert (
+        Hindsight(targets=0, reward=reward, object_height_m=0.03, generator=generator, observation=PaperObservation()).of(
+            decided()
+        )
+        == []
+    )
     assert generator.bit_generator.state == np.random.default_rng(0).bit_generator.state
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import copy
+import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from uarm_rl import configuration
 from uarm_rl.task import kinematics, observation
 from uarm_rl.task.hold import FixedHold, LearnedHold
+from uarm_rl.task.obstacles import Box
 
 TARGET = (0.25, 0.1, 0.03)
 ACTION = np.array([1.0, -0.5, 0.25], np.float32)
@@ -98,6 +102,27 @@ def test_what_an_action_is_relative_to(make_env, actions):
         "absolute": kinematics.clip_to_limits(*(low + (high - low) * (ACTION + 1) / 2).tolist()),
     }
     assert reference == pytest.approx(np.array(expected[actions]), abs=1e-5)
+
+
+@given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-0.05, 0.4), st.floats(-0.3, 0.3))
+def test_the_frame_turns_with_the_arm(here, there, x, y):
+    """Turned together about the base's axis, arm, object and obstacle look as before to the arm, and not in the base frame."""
+    kind = observation.kind({"name": "arm_frame", "obstacles": 2})
+    seen = []
+    for joint1 in (here, there):
+        joints = (joint1, 0.4, 0.2)
+        ends = kinematics.forward(joints)
+        turn = np.array([[math.cos(joint1), -math.sin(joint1)], [math.sin(joint1), math.cos(joint1)]])
+        (a, b), (c, d) = (turn @ place for place in ((x, y), (0.2 + x, y)))
+        box = Box((c, d, 0.05), (0.03, 0.04, 0.1))
+        seen.append(kind.see(observation.Look(joints, ends, (a, b, 0.03), False, (0, 0, 0), joints, (0, 0, 0), (box,))))
+    own = [name for name in kind.names if name.endswith(("ahead_m", "left_m"))]
+    assert own == [*(f"object_{side}_m" for side in ("ahead", "left")), *kind.names[22:26]]
+    one, other = (dict(zip(kind.names, look.tolist(), strict=True)) for look in seen)
+    assert [one[name] for name in own] == pytest.approx([other[name] for name in own], abs=1e-6)
+    reach = math.hypot(*kinematics.forward((0.0, 0.4, 0.2))[3][:2])
+    assert [one[name] for name in own] == pytest.approx([x - reach, y, 0.2 + x, y, 0.0, 0.0], abs=1e-6)
+    assert one["obstacle1_top_m"] == pytest.approx(0.1)
 
 
 def test_what_is_remembered_ends_with_a_reset_that_brings_the_arm_home(make_env):

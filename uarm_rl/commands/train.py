@@ -306,7 +306,7 @@ def _learner(settings: Settings) -> Learner:
             reward=build("reward", settings["reward"]),
             object_height_m=settings["sim"]["object_size_m"],
             generator=draws,
-            slots=slots_of(settings),
+            observation=observation,
             touching=build("task", settings["task"]).touching,
         ),
     )

@@ -28,7 +28,7 @@ from uarm_rl import checks
 from uarm_rl.learn.returns import Transition
 from uarm_rl.task import positions
 from uarm_rl.task.kinematics import Vector
-from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG, JOINTS, OBSTACLE_NAMES, obstacles_in
+from uarm_rl.task.observation import CUP, JOINTS, OBSTACLE_NAMES, PaperObservation, obstacles_in
 from uarm_rl.task.obstacles import clearances_m, way_clearances_m
 from uarm_rl.task.reward import DistanceReward
 
@@ -57,8 +57,7 @@ class Hindsight:
     """Makes ``targets`` further transitions of each decision; none if that is 0.
 
     ``generator`` draws the targets, within the operating range as the task's own: half of them uniformly, half about the cup,
-    at a distance that is drawn log-uniformly. ``slots``: how many obstacles an observation has room for;
-    ``touching``: the reward of touching one.
+    at a distance that is drawn log-uniformly. ``observation``: what is seen; ``touching``: the reward of touching an obstacle.
     """
 
     def __init__(
@@ -68,10 +67,10 @@ class Hindsight:
         reward: DistanceReward,
         object_height_m: float,
         generator: np.random.Generator,
-        slots: int = 0,
+        observation: PaperObservation,
         touching: float = 0.0,
     ) -> None:
-        self._slots, self._touching = slots, touching
+        self._observation, self._slots, self._touching = observation, observation.slots, touching
         self._targets = checks.integer("hindsight_targets", targets, low=0, high=1000)
         self._reward = reward
         self._object_height_m = object_height_m
@@ -94,9 +93,9 @@ class Hindsight:
                 others, ends = self._others(decision, seen[self._generator.integers(len(seen))])
             made.append(
                 decision._replace(
-                    observation=_told(decision.observation, target, others),
+                    observation=self._observation.told(decision.observation, target, others),
                     reward=self._touching if ends else self._reward(cup, place, next_cup, place).total,
-                    next_observation=_told(decision.next_observation, target, others),
+                    next_observation=self._observation.told(decision.next_observation, target, others),
                     discount=0.0 if ends else decision.discount,
                 )
             )
@@ -122,13 +121,3 @@ class Hindsight:
         x, y = cup_m[0] + distance_m * math.cos(angle), cup_m[1] + distance_m * math.sin(angle)
         target = np.array([x, y, self._object_height_m])
         return target if positions.in_operating_range(target) else None
-
-
-def _told(observation: Array, target_m: Vector, obstacles: Array | None) -> Array:
-    """What would have been observed with the object there, and with other ``obstacles`` if there are some."""
-    told: Array = observation.copy()
-    told[CUP_TO_OBJECT] = target_m - observation[CUP]
-    told[FLAG] = 0.0
-    if obstacles is not None:
-        told[-len(obstacles) :] = obstacles
-    return told

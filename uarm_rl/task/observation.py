@@ -1,11 +1,13 @@
 """What the policy sees: the paper's 20 numbers (section 3.2; as ``docs/paper.md`` reads it), or more than these.
 
-The paper's lack what the arm is still doing: its velocity, and the reference that it has not reached yet. The other kinds add
-one of these, or what they can be told from. Behind any of them stands what is in the way, where the task has obstacles.
+The paper's lack what the arm is still doing: its velocity, and the reference that it has not reached yet. Other kinds add
+one of these, or what they can be told from; one adds the frame that turns with the arm. Behind any of them
+stands what is in the way, where the task has obstacles.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from uarm_rl import checks
 from uarm_rl.task import kinematics
+from uarm_rl.task.kinematics import Vector
 from uarm_rl.task.obstacles import Box
 
 Observation = NDArray[np.float32]
@@ -42,6 +45,7 @@ SCALE: Final[NDArray[np.float32]] = np.array(
 #: What is seen of an obstacle; the scale is half of what there is, as above.
 OBSTACLE_NAMES: Final = ("x_m", "y_m", "length_m", "width_m", "top_m")
 OBSTACLE_SCALE: Final = (0.3, 0.3, 0.06, 0.06, 0.16)
+_OBSTACLE_IN_FRAME: Final = {"ahead_m": 0.3, "left_m": 0.3}
 
 CUP: Final = slice(9, 12)
 CUP_TO_OBJECT: Final = slice(12, 15)
@@ -93,6 +97,8 @@ class PaperObservation:
 
     further: tuple[str, ...] = ()
     further_scale = 1.0
+    slots = 0  # for how many obstacles there is room
+    turns = False  # whether it has the frame that turns with the arm
 
     def __init__(self) -> None:
         self.names: tuple[str, ...] = (*NAMES, *self.further)
@@ -115,6 +121,16 @@ class PaperObservation:
     def rest(self, look: Look) -> Sequence[float]:
         """The numbers behind the 20."""
         return ()
+
+    def told(self, observed: Observation, object_m: Vector, obstacles: Observation | None = None) -> Observation:
+        """What would have been observed with the object there (x, y, z, m), and the cup not yet on it.
+
+        ``obstacles``: and with these in the way, as they stand at the end of an observation.
+        """
+        told: Observation = observed.copy()
+        told[CUP_TO_OBJECT] = object_m - observed[CUP]
+        told[FLAG] = 0.0
+        return told
 
 
 class VelocityObservation(PaperObservation):
@@ -146,6 +162,32 @@ class ReferenceObservation(PaperObservation):
         return [wanted - joint for wanted, joint in zip(look.reference_rad, look.joints_rad, strict=True)]
 
 
+class ArmFrameObservation(PaperObservation):
+    """And the way to the object as the arm sees it, however it is turned: ahead, along its reach, and to its left.
+
+    In the base frame the same error asks for another action at each bearing of the arm. Obstacles are seen so too.
+    """
+
+    further = ("object_ahead_m", "object_left_m")
+    further_scale = 0.04  # as the vector itself
+    turns = True
+
+    def rest(self, look: Look) -> Sequence[float]:
+        cup = look.link_ends_m[3].tolist()
+        return turned(look.joints_rad[0], look.object_m[0] - cup[0], look.object_m[1] - cup[1])
+
+    def told(self, observed: Observation, object_m: Vector, obstacles: Observation | None = None) -> Observation:
+        told = super().told(observed, object_m)
+        told[SIZE:] = turned(float(told[JOINTS][0]), *told[CUP_TO_OBJECT][:2].tolist())
+        return told
+
+
+def turned(joint1_rad: float, x: Any, y: Any) -> tuple[Any, Any]:
+    """A vector in the table's plane, or several, in the frame that turns with the arm: ahead, to the left."""
+    cosine, sine = math.cos(joint1_rad), math.sin(joint1_rad)
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
 class StackedObservation(PaperObservation):
     """The 20 numbers of the last ``frames`` decisions, the newest first; after a reset that of the reset, again and again."""
 
@@ -168,26 +210,40 @@ class StackedObservation(PaperObservation):
 class WithObstacles(PaperObservation):
     """Another observation, and behind it the obstacles: where each stands and its sides, zeros for those that are not there.
 
-    Metres in the base frame. ``slots`` is for how many there is room; :class:`ValueError` where there are more.
+    Metres in the base frame; before them, if the other observation turns with the arm, where each stands in its frame.
+    ``slots`` is for how many there is room; :class:`ValueError` where there are more.
     """
 
     def __init__(self, inner: PaperObservation, slots: int) -> None:
-        self._inner, self._slots = inner, checks.integer("observation.obstacles", slots, low=1, high=100)
-        names = [f"obstacle{number}_{name}" for number in range(1, slots + 1) for name in OBSTACLE_NAMES]
-        self.names = (*inner.names, *names)
-        self.offset = np.concatenate((inner.offset, np.zeros(len(names), np.float32)))
-        self.scale = np.concatenate((inner.scale, np.tile(np.array(OBSTACLE_SCALE, np.float32), slots)))
+        self._inner, self.slots = inner, checks.integer("observation.obstacles", slots, low=1, high=100)
+        in_frame = _OBSTACLE_IN_FRAME if inner.turns else {}
+        each = in_frame, dict(zip(OBSTACLE_NAMES, OBSTACLE_SCALE, strict=True))
+        scales = {f"obstacle{number}_{name}": of[name] for of in each for number in range(1, slots + 1) for name in of}
+        self.names = (*inner.names, *scales)
+        self.offset = np.concatenate((inner.offset, np.zeros(len(scales), np.float32)))
+        self.scale = np.concatenate((inner.scale, np.array([*scales.values()], np.float32)))
 
     def begin(self) -> None:
         self._inner.begin()
 
     def see(self, look: Look) -> Observation:
-        if len(look.obstacles) > self._slots:
-            raise ValueError(f"there are {len(look.obstacles)} obstacles, and an observation has room for {self._slots}")
-        seen = np.zeros((self._slots, len(OBSTACLE_NAMES)), np.float32)
+        if len(look.obstacles) > self.slots:
+            raise ValueError(f"there are {len(look.obstacles)} obstacles, and an observation has room for {self.slots}")
+        seen = np.zeros((self.slots, len(OBSTACLE_NAMES)), np.float32)
         for row, box in zip(seen, look.obstacles, strict=False):
             row[:] = *box.centre_m[:2], *box.size_m[:2], box.centre_m[2] + box.size_m[2] / 2.0
-        return np.concatenate((self._inner.see(look), seen.ravel()))
+        return self._with(self._inner.see(look), seen.ravel())
+
+    def told(self, observed: Observation, object_m: Vector, obstacles: Observation | None = None) -> Observation:
+        rows = observed[-self.slots * len(OBSTACLE_NAMES) :] if obstacles is None else obstacles
+        return self._with(self._inner.told(observed[: self._inner.size], object_m), rows)
+
+    def _with(self, seen: Observation, obstacles: Observation) -> Observation:
+        if not self._inner.turns:
+            return np.concatenate((seen, obstacles))
+        x, y = obstacles.reshape(self.slots, -1)[:, :2].T
+        in_frame = np.array(turned(float(seen[JOINTS][0]), x, y), np.float32)
+        return np.concatenate((seen, in_frame.T.ravel(), obstacles))
 
 
 def obstacles_in(observed: NDArray[Any], slots: int) -> tuple[Box, ...]:
@@ -202,6 +258,7 @@ KINDS: Final[Mapping[str, type[PaperObservation]]] = {
     "velocity": VelocityObservation,
     "last_action": LastActionObservation,
     "reference": ReferenceObservation,
+    "arm_frame": ArmFrameObservation,
     "stack": StackedObservation,
 }
 
