@@ -118,12 +118,8 @@ def test_the_decision_itself_is_left_as_it_was_and_no_other_is_a_success():
 def test_without_targets_there_is_nothing_and_nothing_is_drawn():
     generator = np.random.default_rng(0)
     reward = configuration.build("reward", configuration.compose("train")["reward"])
-    assert (
-        Hindsight(targets=0, reward=reward, object_height_m=0.03, generator=generator, observation=PaperObservation()).of(
-            decided()
-        )
-        == []
-    )
+    settings = {"reward": reward, "object_height_m": 0.03, "generator": generator, "observation": PaperObservation()}
+    assert Hindsight(targets=0, **settings).of(decided()) == []
     assert generator.bit_generator.state == np.random.default_rng(0).bit_generator.state
 
 

@@ -125,7 +125,7 @@ class PaperObservation:
     def told(self, observed: Observation, object_m: Vector, obstacles: Observation | None = None) -> Observation:
         """What would have been observed with the object there (x, y, z, m), and the cup not yet on it.
 
-        ``obstacles``: and with these in the way, as they stand at the end of an observation.
+        ``obstacles``: and with these in the way, where there is room for some; as they stand at the end of an observation.
         """
         told: Observation = observed.copy()
         told[CUP_TO_OBJECT] = object_m - observed[CUP]
@@ -235,8 +235,8 @@ class WithObstacles(PaperObservation):
         return self._with(self._inner.see(look), seen.ravel())
 
     def told(self, observed: Observation, object_m: Vector, obstacles: Observation | None = None) -> Observation:
-        rows = observed[-self.slots * len(OBSTACLE_NAMES) :] if obstacles is None else obstacles
-        return self._with(self._inner.told(observed[: self._inner.size], object_m), rows)
+        told = self._inner.told(observed[: self._inner.size], object_m)
+        return np.concatenate((told, observed[len(told) :])) if obstacles is None else self._with(told, obstacles)
 
     def _with(self, seen: Observation, obstacles: Observation) -> Observation:
         if not self._inner.turns:
