@@ -131,6 +131,7 @@ def learner() -> Learner:
         "critic_lr": 1e-3,
         "final_layer_init": 0.1,
         "annealing": 0.0,
+        "huber": None,
     }
     agent = DDPG(hidden=[4, 4], **rates, action_size=3, generator=networks)
     replay = ReplayBuffer(8, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(1))

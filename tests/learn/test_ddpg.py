@@ -20,6 +20,7 @@ SETTINGS = {
     "critic_lr": 1e-3,
     "final_layer_init": 0.1,
     "annealing": 0.0,
+    "huber": None,
 }
 
 
@@ -49,7 +50,8 @@ def batch(size: int = 64, seed: int = 0, discount: float | None = None) -> Batch
 class Reference:
     """DDPG as a textbook writes it: autograd, one tensor a layer, unfused Adam."""
 
-    def __init__(self, like: DDPG) -> None:
+    def __init__(self, like: DDPG, huber: float | None = None) -> None:
+        self.huber = huber
         self.networks = {
             name: [tensor.clone() for layer in network.layers for tensor in layer]
             for name, network in {
@@ -81,8 +83,9 @@ class Reference:
         with torch.no_grad():
             next_q = self.q("target_critic", next_x, torch.tanh(self.run("target_actor", next_x)))
             y = reward + discount * next_q
-        critic_loss = functional.mse_loss(self.q("critic", x, action), y)
-        self.step("critic", critic_loss)
+        value = self.q("critic", x, action)
+        critic_loss = functional.mse_loss(value, y)
+        self.step("critic", 2 * functional.huber_loss(value, y, delta=self.huber) if self.huber else critic_loss)
         own_action = torch.tanh(self.run("actor", x))
         q = self.q("critic", x, own_action)
         actor_loss = -q.mean()
@@ -106,10 +109,11 @@ class Reference:
         self.optimizers[name].step()
 
 
+@pytest.mark.parametrize("huber", [None, 0.3])
 @pytest.mark.parametrize("final_layer_init", [0.1, 3.0])  # the second saturates the actor
-def test_updates_are_those_of_the_textbook(final_layer_init):
-    ours = agent(final_layer_init=final_layer_init)
-    reference = Reference(ours)
+def test_updates_are_those_of_the_textbook(final_layer_init, huber):
+    ours = agent(final_layer_init=final_layer_init, huber=huber)
+    reference = Reference(ours, huber)
     for seed in range(20):
         assert ours.update(batch(seed=seed)) == pytest.approx(reference.update(batch(seed=seed)), rel=1e-3, abs=1e-4)
     for name, tensors in reference.networks.items():

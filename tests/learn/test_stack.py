@@ -34,6 +34,7 @@ def learner(seed: int, *, hidden: tuple[int, ...] = (40, 30), stored: int = 100,
         critic_lr=1e-3,
         final_layer_init=0.1,
         annealing=0.0 if seed % 3 else 0.6,
+        huber=0.1 if seed % 2 else None,
         action_size=3,
         generator=torch.Generator().manual_seed(seed),
     )

@@ -104,11 +104,15 @@ def test_the_words_beside_the_rewards_of_one_run_fit_into_the_picture(label):
         assert 0 <= box.y0 < box.y1 <= figure.bbox.height, words
 
 
-def test_learning_curves_name_their_axis_and_their_band(figure):
+@pytest.mark.parametrize(("lowest", "scale"), [(-40.0, "symlog"), (-4.9, "linear")])
+def test_learning_curves_name_their_axis_and_their_band(figure, lowest, scale):
     drawn = curves("experiences", "validation_success_rate", "smoothed_return")
+    drawn[METHODS[0].folder]["smoothed_return_min"] = [lowest, 0.0]
     figures.draw_learning(figure, METHODS, drawn, smoothed_over=20)
     above, below = figure.axes
-    assert (below.get_yscale(), "symlog" in below.get_ylabel()) == ("symlog", True)
+    assert (below.get_yscale(), "symlog" in below.get_ylabel()) == (scale, scale == "symlog")
+    figure.draw_without_rendering()
+    assert max(len(words.get_text()) for words in below.get_yticklabels()) <= len("-0.25")
     assert "band: their range" in below.get_xlabel()
     assert len({line.get_linestyle() for line in above.get_lines()}) == len(METHODS) == len(above.collections)
 

@@ -125,9 +125,10 @@ def test_some_attempts_of_a_training_begin_elsewhere_and_no_test_does(env):
     assert env.unwrapped.arm.read_joints() == pytest.approx(home)
 
 
-def test_in_training_the_arm_is_padded_and_in_a_test_it_is_not(env, monkeypatch):
-    beside = Box((0.2, 0.1, 0.1), (0.05, 0.07, 0.2))
-    layout = layouts.Layout(np.array([0.2, 0.0, 0.03]), (beside,), padded=True)
+@pytest.mark.parametrize("margin_m", [0.0, 0.01])
+def test_in_training_the_arm_is_padded_and_in_a_test_it_is_not(env, monkeypatch, margin_m):
+    beside = Box((0.2, 0.1 + margin_m, 0.1), (0.05, 0.07, 0.2))
+    layout = layouts.Layout(np.array([0.2, 0.0, 0.03]), (beside,), margin_m=margin_m)
     monkeypatch.setattr(layouts.Obstacles, "draw", lambda *_: layout)
     turn, touched = np.array([1.0, 0.0, 0.0], np.float32), []
     for options in ({}, layout.options()):

@@ -117,11 +117,14 @@ def test_the_frame_turns_with_the_arm(here, there, x, y):
         box = Box((c, d, 0.05), (0.03, 0.04, 0.1))
         seen.append(kind.see(observation.Look(joints, ends, (a, b, 0.03), False, (0, 0, 0), joints, (0, 0, 0), (box,))))
     own = [name for name in kind.names if name.endswith(("ahead_m", "left_m"))]
-    assert own == [*(f"object_{side}_m" for side in ("ahead", "left")), *kind.names[22:26]]
+    assert own == [*(f"object_{side}_m" for side in ("ahead", "left")), *kind.names[25:29]]
     one, other = (dict(zip(kind.names, look.tolist(), strict=True)) for look in seen)
     assert [one[name] for name in own] == pytest.approx([other[name] for name in own], abs=1e-6)
     reach = math.hypot(*kinematics.forward((0.0, 0.4, 0.2))[3][:2])
     assert [one[name] for name in own] == pytest.approx([x - reach, y, 0.2 + x, y, 0.0, 0.0], abs=1e-6)
+    near = [one[f"object_{side}_near"] for side in ("ahead", "left", "up")]
+    way = np.array([x - reach, y, 0.03 - kinematics.forward((0.0, 0.4, 0.2))[3][2]])
+    assert near == pytest.approx(way / (np.abs(way) + 0.01), abs=1e-5)
     assert one["obstacle1_top_m"] == pytest.approx(0.1)
 
 

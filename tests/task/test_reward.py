@@ -38,9 +38,29 @@ def test_standing_still_earns_the_distance_term_only(cup, target):
     assert terms.total == terms.distance <= 0
 
 
+@given(points, points, points, st.floats(1e-3, 1.0))
+def test_a_saturated_reward_is_as_steep_at_the_object_and_never_as_far_down(cup, target, next_cup, saturation):
+    plain = DistanceReward(1.0, 10.0, -5.0, -1.0, -1.0)
+    saturated = DistanceReward(1.0, 10.0, -5.0, -1.0, -1.0, saturation=saturation)
+    far, shown = plain.distance_reward(cup, target), saturated.distance_reward(cup, target)
+    assert max(far, -saturation) <= shown <= far / (1.0 + abs(far) / saturation) + 1e-12
+    lowest, highest = saturated.bounds(2.0, 1.0)
+    assert lowest <= saturated(cup, target, next_cup, target).total <= highest
+    near = saturated.distance_reward((target[0] + 1e-9, *target[1:]), target)
+    assert near == pytest.approx(plain.distance_reward((target[0] + 1e-9, *target[1:]), target), rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("alpha", 0.0), ("alpha", "1"), ("beta", -1.0), ("sigma", 0.1), ("alpha_d", 1.0), ("beta_d", float("inf"))],
+    [
+        ("alpha", 0.0),
+        ("alpha", "1"),
+        ("beta", -1.0),
+        ("sigma", 0.1),
+        ("alpha_d", 1.0),
+        ("beta_d", float("inf")),
+        ("saturation", 0.0),
+    ],
 )
 def test_signs_that_the_paper_excludes_are_refused(name, value):
     values = {"alpha": 1.0, "beta": 10.0, "sigma": 0.0, "alpha_d": -1.0, "beta_d": -1.0} | {name: value}

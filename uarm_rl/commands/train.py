@@ -280,7 +280,7 @@ def _learner(settings: Settings) -> Learner:
     seeds = np.random.SeedSequence(settings["seed"]).spawn(4)
     env_seed, network_seed = (int(sequence.generate_state(1)[0]) for sequence in seeds[:2])
     networks = torch.Generator().manual_seed(network_seed)
-    observation = seen(settings)
+    observation, task = seen(settings), build("task", settings["task"])
     _check_hindsight(settings)
     draws = np.random.default_rng(seeds[2])  # of the buffer, and of the targets that are made up for it
     action_size = ACTION_SIZE + build("hold", settings["buffer"]["hold"]).choices
@@ -307,7 +307,8 @@ def _learner(settings: Settings) -> Learner:
             object_height_m=settings["sim"]["object_size_m"],
             generator=draws,
             observation=observation,
-            touching=build("task", settings["task"]).touching,
+            touching=task.touching,
+            margin_m=task.margin_m,
         ),
     )
 

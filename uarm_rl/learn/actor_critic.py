@@ -6,6 +6,7 @@ keeps that small.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Final, NamedTuple
@@ -30,13 +31,15 @@ class DivergenceError(ArithmeticError):
 class Rates(NamedTuple):
     """How fast an agent learns: the share of each soft step of its targets, and the step sizes of Adam.
 
-    Over the last part ``annealing`` of the training, a share of it, both step sizes fall linearly to nothing.
+    Over the last part ``annealing`` of the training, a share of it, both step sizes fall linearly to nothing. The slope of the
+    critic's loss at an error beyond ``huber`` is that at ``huber``.
     """
 
     tau: float
     actor_lr: float
     critic_lr: float
     annealing: float = 0.0
+    huber: float | None = None
 
 
 class Tensors(NamedTuple):
@@ -93,6 +96,10 @@ class ActorCritic:
         )
         self.resting = torch.zeros(lead, device=device)
         self._tau = torch.tensor([one.tau for one in each], device=device) if lead else each[0].tau
+        self._largest_error: Tensor | None = None
+        if any(one.huber is not None for one in each):
+            largest = [math.inf if one.huber is None else one.huber for one in each]
+            self._largest_error = torch.tensor(largest, device=device).view(*lead, 1, 1)
         self._each = each
         held = partial(torch.tensor, device=device, dtype=torch.float64 if device == "cpu" else torch.float32)  # as Adam has it
         self._step_sizes = {  # those that change are held where a graph that was recorded finds them
@@ -155,11 +162,12 @@ class ActorCritic:
         x, next_x = ((raw - self._offset) / self._scale for raw in (batch.observation, batch.next_observation))
         observed, size = x.shape[-1], x.shape[-2]
 
-        # Critic: L = mean (y - Q(s, a))^2 with y = r + discount Q'(s', mu'(s')).
+        # Critic: L = mean (y - Q(s, a))^2 with y = r + discount Q'(s', mu'(s')), or Huber's loss of it (Huber 1964).
         next_action = self.target_actor.forward(next_x).tanh_()
         next_q = self.target_critic.forward(torch.cat((next_x, next_action), -1))
         error = self.critic.forward(torch.cat((x, batch.action), -1)) - (batch.reward + batch.discount * next_q)
-        weighted = error if batch.weight is None else error * batch.weight
+        slope = error if self._largest_error is None else error.clamp(-self._largest_error, self._largest_error)
+        weighted = slope if batch.weight is None else slope * batch.weight
         self.critic.backward(weighted * (2.0 / size))
         self._descend("critic")
 

@@ -40,6 +40,7 @@ class DDPG(ActorCritic):
         critic_lr: float,
         final_layer_init: float,
         annealing: float,
+        huber: float | None,
         action_size: int,
         generator: torch.Generator,
         observation: PaperObservation | None = None,
@@ -53,6 +54,7 @@ class DDPG(ActorCritic):
             actor_lr=checks.number("agent.actor_lr", actor_lr, low=0.0, high=1.0, open_low=True),
             critic_lr=checks.number("agent.critic_lr", critic_lr, low=0.0, high=1.0, open_low=True),
             annealing=checks.number("agent.annealing", annealing, low=0.0, high=1.0),
+            huber=None if huber is None else checks.number("agent.huber", huber, low=0.0, high=1e6, open_low=True),
         )
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
         seen = self.observation.size

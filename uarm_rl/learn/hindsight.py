@@ -57,7 +57,8 @@ class Hindsight:
     """Makes ``targets`` further transitions of each decision; none if that is 0.
 
     ``generator`` draws the targets, within the operating range as the task's own: half of them uniformly, half about the cup,
-    at a distance that is drawn log-uniformly. ``observation``: what is seen; ``touching``: the reward of touching an obstacle.
+    at a distance that is drawn log-uniformly. ``observation``: what is seen; ``touching``: the reward of touching an obstacle,
+    which is coming nearer to one than ``margin_m``.
     """
 
     def __init__(
@@ -69,8 +70,10 @@ class Hindsight:
         generator: np.random.Generator,
         observation: PaperObservation,
         touching: float = 0.0,
+        margin_m: float = 0.0,
     ) -> None:
-        self._observation, self._slots, self._touching = observation, observation.slots, touching
+        self._observation, self._slots = observation, observation.slots
+        self._touching, self._margin_m = touching, margin_m
         self._targets = checks.integer("hindsight_targets", targets, low=0, high=1000)
         self._reward = reward
         self._object_height_m = object_height_m
@@ -109,10 +112,11 @@ class Hindsight:
         start, end = (one[JOINTS].astype(np.float64) for one in (decision.observation, decision.next_observation))
         beyond = _OVERSHOT * (end - start)
         obstacles, told = obstacles_in(seen, self._slots), seen[-self._slots * len(OBSTACLE_NAMES) :]
-        if way_clearances_m((start - beyond).tolist(), (end + beyond).tolist(), obstacles, _STEP_RAD).min() > 0.0:
+        if way_clearances_m((start - beyond).tolist(), (end + beyond).tolist(), obstacles, _STEP_RAD).min() > self._margin_m:
             return told, False
         first, *others = clearances_m(np.linspace(start, end, _LOOKS), obstacles).tolist()
-        return (told, True) if first > 0.0 and min(others) < -_DOUBT_M else (None, False)
+        touches = first > self._margin_m and min(others) < self._margin_m - _DOUBT_M
+        return (told, True) if touches else (None, False)
 
     def _near(self, cup_m: list[float]) -> Vector | None:
         """A target about the cup; none if the one that was drawn is out of range."""

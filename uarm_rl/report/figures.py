@@ -105,9 +105,11 @@ def draw_learning(figure: Figure, methods: Sequence[Method], curves: Mapping[str
         for method in methods:
             _draw(axes, method, curves[method.folder], "experiences", value)
     _success_axis(above, "Success on\nvalidation positions (%)")
-    below.set(ylabel=f"Return of a training episode\n(own, mean of {smoothed_over} episodes; symlog:\nlinear from -10 to 10)")
-    below.set_yscale("symlog", linthresh=10.0)  # the first episodes go far down
-    below.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=10.0, subs=(1.0, 2.0, 5.0)))
+    if far := max(map(abs, below.get_ylim())) > 10.0:  # the first episodes go far down
+        below.set_yscale("symlog", linthresh=10.0)
+        below.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=10.0, subs=(1.0, 2.0, 5.0)))
+    scale = "; symlog:\nlinear from -10 to 10" if far else ""
+    below.set(ylabel=f"Return of a training episode\n(own, mean of {smoothed_over} episodes{scale})")
     below.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     below.set(xlabel=f"Stored experiences (thousands)\n{_BAND}")
     below.xaxis.set_major_formatter(lambda experiences, _: f"{experiences / 1000:g}")

@@ -184,7 +184,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self.arm.place_obstacles(layout.obstacles)
         elif layout.obstacles:
             raise ValueError("this task has no obstacles; task=obstacles has some")
-        self._in_the_way, self._padded, self._touched = layout.obstacles, layout.padded, False
+        self._in_the_way, self._margin_m, self._touched = layout.obstacles, layout.margin_m, False
         self.target.place_object(layout.object_m)
         x, y, z = layout.object_m.tolist()
         return x, y, z
@@ -210,7 +210,7 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             control_steps += passed
             self._trace.append(self.state())
             self._touch_n = self.arm.touch_n() if self._in_the_way else 0.0
-            self._touched = self._touch_n > 0.0 or (self._padded and self._comes_near())
+            self._touched = self._touch_n > 0.0 or self._comes_near()
             timed_out = self._elapsed_steps >= self._step_limit
             travel_rad = 0.0 if self.arm.at_rest else travel_rad_of(last, self._joints)  # encoders flicker at rest
             change_rad = 0.0 if self.arm.at_rest else change_rad_of(earlier, last, self._joints)
@@ -346,8 +346,9 @@ class UArmSuctionEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return max(0.0, top_m - z) if max(abs(x - at_x), abs(y - at_y)) <= self._over_m else 0.0
 
     def _comes_near(self) -> bool:
-        """Whether an obstacle is within the capsules around the arm."""
-        return bool(obstacles.clearances_m(np.array([self._joints]), self._in_the_way)[0] < 0.0)
+        """Whether an obstacle is nearer to the capsules around the arm than the margin, if there is one."""
+        margin_m = self._margin_m
+        return margin_m is not None and bool(obstacles.clearances_m(np.array([self._joints]), self._in_the_way)[0] < margin_m)
 
     def _distance_m(self) -> float:
         return math.dist(self._link_ends[3].tolist(), self._object)

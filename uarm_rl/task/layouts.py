@@ -45,13 +45,14 @@ _LIFTS_M: Final = tuple((radius, height) for height in (0.22, 0.26, 0.17, 0.12) 
 class Layout(NamedTuple):
     """The centre of the object's upper surface (x, y, z, m), what stands in the way, and the joints that the arm begins with.
 
-    ``start_rad``, shape (3,), is ``None`` for home. ``padded``: what comes within the capsules around the arm is touched.
+    ``start_rad``, shape (3,), is ``None`` for home. ``margin_m``: what comes nearer than this to the capsules around the arm is
+    touched too; ``None``: only what the engine feels.
     """
 
     object_m: Vector
     obstacles: tuple[Box, ...] = ()
     start_rad: Vector | None = None
-    padded: bool = False
+    margin_m: float | None = None
 
     def options(self) -> dict[str, Any]:
         """What the environment's ``reset`` takes for it."""
@@ -64,6 +65,7 @@ class Layouts(Protocol):
 
     slots: int
     touching: float
+    margin_m: float
 
     def draw(self, generator: np.random.Generator, height_m: float, cup_m: Vector) -> Layout:
         """A layout for training: the object's upper surface at ``height_m``, and not where the cup is (x, y, z, m)."""
@@ -75,6 +77,7 @@ class Reach:
 
     slots = 0
     touching = 0.0
+    margin_m = 0.0
 
     def draw(self, generator: np.random.Generator, height_m: float, cup_m: Vector) -> Layout:
         while True:
@@ -88,13 +91,15 @@ class Obstacles:
 
     That ends the attempt. It begins at home, but for a share ``elsewhere`` of those in training, which
     begin in any pose clear of all obstacles: who has to come past them to the object would see it seldom while it learns to.
-    In training the arm is padded, so that a policy keeps off what it need not come near to.
+    In training the arm is padded, and what comes nearer than ``margin_m`` is touched, so that a policy keeps off what it need
+    not come near to: in a test, it is not.
     """
 
-    def __init__(self, slots: int, touching: float, elsewhere: float = 0.0) -> None:
+    def __init__(self, slots: int, touching: float, elsewhere: float = 0.0, margin_m: float = 0.0) -> None:
         self._elsewhere = checks.number("task.elsewhere", elsewhere, low=0.0, high=1.0)
         self.slots = checks.integer("task.slots", slots, low=1, high=SLOTS)
         self.touching = checks.number("task.touching", touching, low=-1e4, high=0.0)
+        self.margin_m = checks.number("task.margin_m", margin_m, low=0.0, high=_CLEARANCE_M)
 
     def draw(self, generator: np.random.Generator, height_m: float, cup_m: Vector) -> Layout:
         count = int(generator.integers(1, self.slots + 1))  # before the rest: of three, more are thrown away
@@ -102,7 +107,8 @@ class Obstacles:
             layout = self._sketch(generator, height_m, count)
             if layout is not None and way(layout) is not None:
                 begins_elsewhere = self._elsewhere > 0.0 and generator.random() < self._elsewhere
-                return layout._replace(start_rad=_clear_pose(generator, layout) if begins_elsewhere else None, padded=True)
+                start_rad = _clear_pose(generator, layout) if begins_elsewhere else None
+                return layout._replace(start_rad=start_rad, margin_m=self.margin_m)
 
     def _sketch(self, generator: np.random.Generator, height_m: float, count: int) -> Layout | None:
         """A layout that may have no way yet; ``None`` if things stand in each other, or nothing is in the way."""

@@ -47,6 +47,8 @@ OBSTACLE_NAMES: Final = ("x_m", "y_m", "length_m", "width_m", "top_m")
 OBSTACLE_SCALE: Final = (0.3, 0.3, 0.06, 0.06, 0.16)
 _OBSTACLE_IN_FRAME: Final = {"ahead_m": 0.3, "left_m": 0.3}
 
+_NEAR_M: Final = 0.01
+
 CUP: Final = slice(9, 12)
 CUP_TO_OBJECT: Final = slice(12, 15)
 JOINTS: Final = slice(15, 18)
@@ -96,7 +98,7 @@ class PaperObservation:
     """The paper's 20 numbers. Further kinds put theirs behind them; ``scale`` brings them to about unit range."""
 
     further: tuple[str, ...] = ()
-    further_scale = 1.0
+    further_scale: float | tuple[float, ...] = 1.0
     slots = 0  # for how many obstacles there is room
     turns = False  # whether it has the frame that turns with the arm
 
@@ -163,23 +165,28 @@ class ReferenceObservation(PaperObservation):
 
 
 class ArmFrameObservation(PaperObservation):
-    """And the way to the object as the arm sees it, however it is turned: ahead, along its reach, and to its left.
+    """And the way to the object as the arm sees it, however it is turned: ahead, along its reach, and to its left; and near.
 
     In the base frame the same error asks for another action at each bearing of the arm. Obstacles are seen so too.
+    ``d / (|d| + 1 cm)`` of each part of the way spreads the last centimetre over half of its range, so that millimetres show.
     """
 
-    further = ("object_ahead_m", "object_left_m")
-    further_scale = 0.04  # as the vector itself
+    further = ("object_ahead_m", "object_left_m", "object_ahead_near", "object_left_near", "object_up_near")
+    further_scale = (0.04, 0.04, 1.0, 1.0, 1.0)  # the first two as the vector itself
     turns = True
 
     def rest(self, look: Look) -> Sequence[float]:
-        cup = look.link_ends_m[3].tolist()
-        return turned(look.joints_rad[0], look.object_m[0] - cup[0], look.object_m[1] - cup[1])
+        return self._way(look.joints_rad[0], *np.subtract(look.object_m, look.link_ends_m[3]).tolist())
 
     def told(self, observed: Observation, object_m: Vector, obstacles: Observation | None = None) -> Observation:
         told = super().told(observed, object_m)
-        told[SIZE:] = turned(float(told[JOINTS][0]), *told[CUP_TO_OBJECT][:2].tolist())
+        told[SIZE:] = self._way(float(told[JOINTS][0]), *told[CUP_TO_OBJECT].tolist())
         return told
+
+    @staticmethod
+    def _way(joint1_rad: float, x: float, y: float, z: float) -> Sequence[float]:
+        ahead, left = turned(joint1_rad, x, y)
+        return ahead, left, *(part / (abs(part) + _NEAR_M) for part in (ahead, left, z))
 
 
 def turned(joint1_rad: float, x: Any, y: Any) -> tuple[Any, Any]:

@@ -36,9 +36,12 @@ class DistanceReward:
     """``alpha r_d(s') + beta (r_d(s') - r_d(s)) + sigma d_o(s, s')`` with ``r_d = alpha_d d_h + beta_d d_v``.
 
     d_h and d_v are the horizontal and vertical distances (m) from the cup to the centre of the object's upper
-    surface, d_o the distance (m) by which the object moved. ``pressing`` (1/m) is not the paper's: it punishes the depth of the
-    cup below that surface. The paper demands alpha, beta > 0 and
+    surface, d_o the distance (m) by which the object moved. The paper demands alpha, beta > 0 and
     alpha_d, beta_d < 0; sigma is 0 (methods A, B) or negative (methods C, D).
+
+    Two are not the paper's. ``pressing`` (1/m) punishes the depth of the cup below that surface. With ``saturation``, r_d
+    becomes ``r_d / (1 + |r_d| / saturation)``: as steep as before at the object and never below -saturation, so that the
+    last millimetres weigh more than the way there, and a way round costs little.
     """
 
     alpha: float
@@ -47,6 +50,7 @@ class DistanceReward:
     alpha_d: float
     beta_d: float
     pressing: float = 0.0
+    saturation: float | None = None
 
     def __post_init__(self) -> None:
         checks.number("reward.alpha", self.alpha, low=0.0, high=_LARGEST, open_low=True)
@@ -55,15 +59,21 @@ class DistanceReward:
         checks.number("reward.alpha_d", self.alpha_d, low=-_LARGEST, high=0.0)
         checks.number("reward.beta_d", self.beta_d, low=-_LARGEST, high=0.0)
         checks.number("reward.pressing", self.pressing, low=-_LARGEST, high=0.0)
+        if self.saturation is not None:
+            checks.number("reward.saturation", self.saturation, low=0.0, high=_LARGEST, open_low=True)
 
     def distance_reward(self, cup_m: Sequence[float], object_m: Sequence[float]) -> float:
         """r_d of one state."""
         horizontal = math.hypot(cup_m[0] - object_m[0], cup_m[1] - object_m[1])
-        return self.alpha_d * horizontal + self.beta_d * abs(cup_m[2] - object_m[2])
+        return self._of(horizontal, abs(cup_m[2] - object_m[2]))
+
+    def _of(self, horizontal_m: float, vertical_m: float) -> float:
+        reward = self.alpha_d * horizontal_m + self.beta_d * vertical_m
+        return reward if self.saturation is None else reward / (1.0 - reward / self.saturation)
 
     def bounds(self, horizontal_m: float, vertical_m: float) -> tuple[float, float]:
         """Lowest and highest reward of a step, if no distance or displacement exceeds these two (m)."""
-        farthest = self.alpha_d * horizontal_m + self.beta_d * vertical_m
+        farthest = self._of(horizontal_m, vertical_m)
         lowest = (self.alpha + self.beta) * farthest + self.sigma * math.hypot(horizontal_m, vertical_m)
         lowest += self.pressing * vertical_m
         return lowest, -self.beta * farthest
