@@ -132,6 +132,7 @@ def learner() -> Learner:
         "final_layer_init": 0.1,
         "annealing": 0.0,
         "huber": None,
+        "action_l2": 0.0,
     }
     agent = DDPG(hidden=[4, 4], **rates, action_size=3, generator=networks)
     replay = ReplayBuffer(8, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(1))

@@ -21,6 +21,7 @@ SETTINGS = {
     "final_layer_init": 0.1,
     "annealing": 0.0,
     "huber": None,
+    "action_l2": 0.0,
 }
 
 
@@ -50,8 +51,8 @@ def batch(size: int = 64, seed: int = 0, discount: float | None = None) -> Batch
 class Reference:
     """DDPG as a textbook writes it: autograd, one tensor a layer, unfused Adam."""
 
-    def __init__(self, like: DDPG, huber: float | None = None) -> None:
-        self.huber = huber
+    def __init__(self, like: DDPG, huber: float | None = None, action_l2: float = 0.0) -> None:
+        self.huber, self.action_l2 = huber, action_l2
         self.networks = {
             name: [tensor.clone() for layer in network.layers for tensor in layer]
             for name, network in {
@@ -89,7 +90,7 @@ class Reference:
         own_action = torch.tanh(self.run("actor", x))
         q = self.q("critic", x, own_action)
         actor_loss = -q.mean()
-        self.step("actor", actor_loss)
+        self.step("actor", actor_loss + self.action_l2 * own_action.square().sum(1).mean())
         with torch.no_grad():
             for name in ("actor", "critic"):
                 for target, source in zip(self.networks[f"target_{name}"], self.networks[name], strict=True):
@@ -109,11 +110,11 @@ class Reference:
         self.optimizers[name].step()
 
 
-@pytest.mark.parametrize("huber", [None, 0.3])
+@pytest.mark.parametrize(("huber", "action_l2"), [(None, 0.0), (0.3, 0.2)])
 @pytest.mark.parametrize("final_layer_init", [0.1, 3.0])  # the second saturates the actor
-def test_updates_are_those_of_the_textbook(final_layer_init, huber):
-    ours = agent(final_layer_init=final_layer_init, huber=huber)
-    reference = Reference(ours, huber)
+def test_updates_are_those_of_the_textbook(final_layer_init, huber, action_l2):
+    ours = agent(final_layer_init=final_layer_init, huber=huber, action_l2=action_l2)
+    reference = Reference(ours, huber, action_l2)
     for seed in range(20):
         assert ours.update(batch(seed=seed)) == pytest.approx(reference.update(batch(seed=seed)), rel=1e-3, abs=1e-4)
     for name, tensors in reference.networks.items():

@@ -35,6 +35,7 @@ def learner(seed: int, *, hidden: tuple[int, ...] = (40, 30), stored: int = 100,
         final_layer_init=0.1,
         annealing=0.0 if seed % 3 else 0.6,
         huber=0.1 if seed % 2 else None,
+        action_l2=0.1 * (seed % 3),
         action_size=3,
         generator=torch.Generator().manual_seed(seed),
     )

@@ -32,7 +32,8 @@ class Rates(NamedTuple):
     """How fast an agent learns: the share of each soft step of its targets, and the step sizes of Adam.
 
     Over the last part ``annealing`` of the training, a share of it, both step sizes fall linearly to nothing. The slope of the
-    critic's loss at an error beyond ``huber`` is that at ``huber``.
+    critic's loss at an error beyond ``huber`` is that at ``huber``. ``action_l2`` times the sum of an action's squares counts
+    against it in the actor's loss.
     """
 
     tau: float
@@ -40,6 +41,7 @@ class Rates(NamedTuple):
     critic_lr: float
     annealing: float = 0.0
     huber: float | None = None
+    action_l2: float = 0.0
 
 
 class Tensors(NamedTuple):
@@ -96,10 +98,12 @@ class ActorCritic:
         )
         self.resting = torch.zeros(lead, device=device)
         self._tau = torch.tensor([one.tau for one in each], device=device) if lead else each[0].tau
-        self._largest_error: Tensor | None = None
-        if any(one.huber is not None for one in each):
-            largest = [math.inf if one.huber is None else one.huber for one in each]
-            self._largest_error = torch.tensor(largest, device=device).view(*lead, 1, 1)
+        # What nobody asks for takes no time.
+        self._huber = self._action_l2 = None
+        if any(one.huber for one in each):
+            self._huber = torch.tensor([one.huber or math.inf for one in each], device=device).view(*lead, 1, 1)
+        if any(one.action_l2 for one in each):
+            self._action_l2 = torch.tensor([one.action_l2 for one in each], device=device).view(*lead, 1, 1)
         self._each = each
         held = partial(torch.tensor, device=device, dtype=torch.float64 if device == "cpu" else torch.float32)  # as Adam has it
         self._step_sizes = {  # those that change are held where a graph that was recorded finds them
@@ -166,15 +170,17 @@ class ActorCritic:
         next_action = self.target_actor.forward(next_x).tanh_()
         next_q = self.target_critic.forward(torch.cat((next_x, next_action), -1))
         error = self.critic.forward(torch.cat((x, batch.action), -1)) - (batch.reward + batch.discount * next_q)
-        slope = error if self._largest_error is None else error.clamp(-self._largest_error, self._largest_error)
+        slope = error if self._huber is None else error.clamp(-self._huber, self._huber)
         weighted = slope if batch.weight is None else slope * batch.weight
         self.critic.backward(weighted * (2.0 / size))
         self._descend("critic")
 
-        # Actor: ascend Q(s, mu(s)), the deterministic policy gradient (eq. 3).
+        # Actor: ascend Q(s, mu(s)), the deterministic policy gradient (eq. 3); or that less action_l2 mu(s)^2.
         action = self.actor.forward(x).tanh_()
         q = self.critic.forward(torch.cat((x, action), -1))
         into_action = self.critic.input_gradient(torch.full_like(q, -1.0 / size), observed)
+        if self._action_l2 is not None:
+            into_action = into_action + action * self._action_l2 * (2.0 / size)
         self.actor.backward(into_action * (1.0 - action * action))
         self._descend("actor")
 

@@ -41,6 +41,7 @@ class DDPG(ActorCritic):
         final_layer_init: float,
         annealing: float,
         huber: float | None,
+        action_l2: float,
         action_size: int,
         generator: torch.Generator,
         observation: PaperObservation | None = None,
@@ -55,6 +56,7 @@ class DDPG(ActorCritic):
             critic_lr=checks.number("agent.critic_lr", critic_lr, low=0.0, high=1.0, open_low=True),
             annealing=checks.number("agent.annealing", annealing, low=0.0, high=1.0),
             huber=None if huber is None else checks.number("agent.huber", huber, low=0.0, high=1e6, open_low=True),
+            action_l2=checks.number("agent.action_l2", action_l2, low=0.0, high=1e6),
         )
         final = checks.number("agent.final_layer_init", final_layer_init, low=0.0, high=1e3, open_low=True)
         seen = self.observation.size
