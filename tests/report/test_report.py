@@ -284,6 +284,17 @@ def test_a_bad_file_is_named_in_a_sentence_and_nothing_is_written(tmp_path, dama
     assert files(tmp_path) == before
 
 
+def test_progress_ends_before_an_error_is_told(tmp_path, capsys):
+    add_run(tmp_path, "adaptive-plain", successes="111")
+    (tmp_path / "paper.csv").write_text("=1+1")
+    try:
+        report(tmp_path, {})
+    except ReportError:
+        assert capsys.readouterr().err.startswith("report: 0 of ")
+    else:
+        pytest.fail("no error")
+
+
 def test_a_folder_without_runs_says_what_to_do(tmp_path):
     with pytest.raises(UsageError, match="holds no run; make one with `uarm-rl train results_dir="):
         report(tmp_path, {})

@@ -71,7 +71,8 @@ def report(results_dir: Path, usual: Mapping[str, Any]) -> str:
         "Trials of the arm": lambda: arm_trials(results_dir),
         "Where the numbers come from": lambda: provenance(results_dir),
     }
-    sections = {title: make() for title, make in progress.shown(made.items(), len(made), "section", "report")}
+    each = ((title, make()) for title, make in made.items())  # inside `shown`, which ends what it shows before an error is told
+    sections = dict(progress.shown(each, len(made), "section", "report"))
     names = _write(results_dir, sections)
     texts = [section.text for section in sections.values() if section.text]
     remarks = [remark for section in sections.values() for remark in section.remarks]
