@@ -9,7 +9,7 @@ export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo paper ablations leaning beyond engines test check docs bench torture clean
 
-demo: $(VENV)/.installed  ## an arm trained in about a minute; then method C for a short budget, tests on the 100 positions, the report
+demo: $(VENV)/.installed  ## an arm trained in a minute; then method C for a short budget, tests on the 100 positions, the report
 	$(BIN)/uarm-rl train experiment=fast results_dir=demo resume=true
 	$(BIN)/uarm-rl evaluate results_dir=demo
 	$(BIN)/uarm-rl train experiment=C episodes=$(DEMO_EPISODES) results_dir=demo resume=true
@@ -95,8 +95,9 @@ check: $(VENV)/.installed-dev  ## formatting, lint and types
 docs: $(VENV)/.installed-docs  ## the documentation and the API, into build/docs/index.html; some two minutes
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs
 
-bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side; about 10 minutes
+bench: $(VENV)/.installed-bench  ## speed, as ratios measured side by side, and the minute of experiment=fast; about 15 minutes
 	$(BIN)/python benchmarks/bench.py
+	$(BIN)/python benchmarks/fast.py
 
 torture: $(VENV)/.installed-test  ## kill trainings and machines, fail saves, damage files, hostile input; about 40 minutes
 	$(BIN)/python -m tests.torture --out tests/torture.csv
