@@ -39,6 +39,19 @@ FAST = (
     "time_limit_s=0.5",
 )
 
+#: What an agent is told but for the widths of its layers.
+AGENT = {
+    "gamma": 0.9,
+    "gamma_per": "decision",
+    "n_steps": 1,
+    "tau": 0.01,
+    "actor_lr": 1e-4,
+    "critic_lr": 1e-3,
+    "final_layer_init": 0.1,
+    "annealing": 0.0,
+    "huber": None,
+    "action_l2": 0.0,
+}
 #: What a policy for the arm says of itself.
 CARD = PolicyCard(
     max_delta_rad=0.15,

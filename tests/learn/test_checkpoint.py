@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from tests import disks
-from tests.conftest import CARD
+from tests.conftest import AGENT, CARD
 from tests.hostile.tensors import BROKEN
 from uarm_rl import files
 from uarm_rl.learn import checkpoint
@@ -122,19 +122,7 @@ def learner() -> Learner:
             pass
 
     networks = torch.Generator().manual_seed(0)
-    rates = {
-        "gamma": 0.9,
-        "gamma_per": "decision",
-        "n_steps": 1,
-        "tau": 0.01,
-        "actor_lr": 1e-4,
-        "critic_lr": 1e-3,
-        "final_layer_init": 0.1,
-        "annealing": 0.0,
-        "huber": None,
-        "action_l2": 0.0,
-    }
-    agent = DDPG(hidden=[4, 4], **rates, action_size=3, generator=networks)
+    agent = DDPG(hidden=[4, 4], **AGENT, action_size=3, generator=networks)
     replay = ReplayBuffer(8, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(1))
     zeros = np.zeros(observation.SIZE, np.float32)
     for reward in range(11):

@@ -7,22 +7,12 @@ import pytest
 import torch
 from torch.nn import functional
 
+from tests.conftest import AGENT
 from uarm_rl.learn.ddpg import DDPG, DivergenceError
 from uarm_rl.learn.replay import Batch
 from uarm_rl.task import observation
 
-SETTINGS = {
-    "gamma": 0.9,
-    "gamma_per": "decision",
-    "n_steps": 1,
-    "tau": 0.01,
-    "actor_lr": 1e-3,
-    "critic_lr": 1e-3,
-    "final_layer_init": 0.1,
-    "annealing": 0.0,
-    "huber": None,
-    "action_l2": 0.0,
-}
+SETTINGS = AGENT | {"actor_lr": 1e-3}
 
 
 def agent(seed: int = 0, **changes: object) -> DDPG:

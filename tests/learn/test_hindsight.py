@@ -17,11 +17,17 @@ from uarm_rl.task.observation import CUP, CUP_TO_OBJECT, FLAG, PaperObservation,
 ACTION = np.array([0.9, -0.7, 0.4], np.float32)
 
 
-def hindsight(targets: int, seed: int = 0, slots: int = 0, seen: str = "paper") -> Hindsight:
+def hindsight(targets: int, seed: int = 0, slots: int = 0, seen: str = "paper", margin_m: float = 0.0) -> Hindsight:
     reward = configuration.build("reward", configuration.compose("train", ("reward=penalty",))["reward"])
     observation, generator = kind({"name": seen, "obstacles": slots}), np.random.default_rng(seed)
     return Hindsight(
-        targets=targets, reward=reward, object_height_m=0.03, generator=generator, observation=observation, touching=-3.0
+        targets=targets,
+        reward=reward,
+        object_height_m=0.03,
+        generator=generator,
+        observation=observation,
+        touching=-3.0,
+        margin_m=margin_m,
     )
 
 
@@ -55,8 +61,8 @@ def test_it_tells_what_the_environment_would_have_told(make_env, engine, observa
         assert one.discount == 0.9
 
 
-@pytest.mark.parametrize("observation", ["paper", "arm_frame"])
-def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, engine, observation, monkeypatch):
+@pytest.mark.parametrize(("observation", "margin_m"), [("paper", 0.0), ("arm_frame", 0.005)])
+def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, engine, observation, margin_m, monkeypatch):
     """Half of the time: those that the arm went clear of, and those that it came to beyond doubt, which end the attempt."""
     env = make_env(
         f"sim={engine}", "buffer=adaptive", "reward=penalty", "task=obstacles", "task.touching=-3", f"observation={observation}"
@@ -68,7 +74,9 @@ def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, e
     before, _ = env.reset(options=where | {"obstacles": [there]})
     after, reward, *_, info = env.step(ACTION)
     assert not info["touched"]
-    made = hindsight(200, slots=3, seen=observation).of(Transition(before, ACTION, reward, after, 0.9), seen=np.array(seen))
+    made = hindsight(200, slots=3, seen=observation, margin_m=margin_m).of(
+        Transition(before, ACTION, reward, after, 0.9), seen=np.array(seen)
+    )
     told = [obstacles_in(one.observation, 3) for one in made]
     kinds = {others: told.count(others) for others in told}
     assert set(kinds) == {obstacles_in(one, 3) for one in (before, *seen[:3])}  # never the one that the arm stands in
@@ -76,7 +84,7 @@ def test_other_obstacles_are_told_as_the_environment_would_tell_them(make_env, e
     ends = set()
     for one, others in zip(made[:30], told, strict=False):
         target = (one.observation[CUP] + one.observation[CUP_TO_OBJECT]).astype(float)
-        monkeypatch.setattr(layouts.Obstacles, "draw", lambda *_: layouts.Layout(target, others, margin_m=0.0))  # noqa: B023
+        monkeypatch.setattr(layouts.Obstacles, "draw", lambda *_: layouts.Layout(target, others, margin_m=margin_m))  # noqa: B023
         stood, _ = env.reset(options={"ghost": True})
         then, earned, terminated, _, ended = env.step(ACTION)
         assert terminated == ended["touched"] == (one.discount == 0.0)

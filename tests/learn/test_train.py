@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.conftest import CARD
+from tests.conftest import AGENT, CARD
 from uarm_rl.learn import checkpoint, loggers
 from uarm_rl.learn import run as session
 from uarm_rl.learn.admission import NotStuck
@@ -88,17 +88,7 @@ class Loud:
 
 
 def learner(*answers: dict[str, object], noise: float = 0.0, **returns: object) -> Learner:
-    returns = {"gamma": 0.9, "gamma_per": "decision", "n_steps": 1} | returns
-    rates = {
-        "tau": 0.01,
-        "actor_lr": 1e-4,
-        "critic_lr": 1e-3,
-        "final_layer_init": 0.1,
-        "annealing": 0.0,
-        "huber": None,
-        "action_l2": 0.0,
-    }
-    agent = DDPG(hidden=[4], **returns, **rates, action_size=3, generator=torch.Generator().manual_seed(0))
+    agent = DDPG(hidden=[4], **AGENT | returns, action_size=3, generator=torch.Generator().manual_seed(0))
     replay = ReplayBuffer(50, observation_size=observation.SIZE, action_size=3, generator=np.random.default_rng(1))
     return Learner(Script(*answers), agent, agent.policy(CARD), replay, NotStuck(0.001), Loud(noise))
 
