@@ -17,6 +17,7 @@ from tests.conftest import ENGINES, make_arm
 from uarm_rl.sim.simulated_arm import CAMERA, SimulatedArm
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, PhysicsError
+from uarm_rl.task.obstacles import Box
 
 
 def run(arm: SimulatedArm, reference: np.ndarray, control_steps: int = 60) -> np.ndarray:
@@ -207,6 +208,22 @@ def test_pictures_show_the_same(engines):
         column, row = CAMERA.pixel(320, 240, (0.22, 0.05, 0.015))
         assert red[round(row), round(column)]
     assert np.logical_xor(*reds).sum() < 0.2 * reds[0].sum()
+
+
+def test_pictures_show_the_obstacles_of_the_scene_and_no_others(engines):
+    for arm in engines:
+        try:
+            empty = arm.render(320, 240).astype(int)
+        except ArmError as error:
+            pytest.skip(str(error))
+        places = [(0.25, -0.12, 0.03), (0.1, 0.25, 0.05)]
+        for x, y, z in places:
+            arm.place_obstacles([Box((x, y, z), (0.04, 0.04, 2.0 * z))])
+            changed = np.abs(arm.render(320, 240).astype(int) - empty).max(axis=2) > 40
+            seen = [changed[round(row), round(column)] for column, row in (CAMERA.pixel(320, 240, place) for place in places)]
+            assert seen == [place == (x, y, z) for place in places]
+        arm.place_obstacles([])
+        assert np.array_equal(arm.render(320, 240), empty)
 
 
 def test_mujoco_without_a_way_to_draw_says_so():

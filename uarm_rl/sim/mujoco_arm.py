@@ -292,10 +292,10 @@ class MujocoArm(SimulatedArm):
         return float(self._angles[4]) if self._bellows else 0.0
 
     def draw(self, scene: Scene, width: int, height: int, camera: Camera = CAMERA) -> NDArray[np.uint8]:
-        if self._view is None or self._view.shows != ((width, height), scene.obstacles):
+        if self._view is None or self._view.size != (width, height):
             if self._view is not None:
                 self._view.close()
-            self._view = View(self._object_size_m, (width, height), scene.obstacles)
+            self._view = View(self._object_size_m, (width, height))
         return self._view.picture(scene, camera)
 
     def close(self) -> None:

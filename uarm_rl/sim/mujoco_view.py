@@ -44,7 +44,7 @@ _OBJECT: Final = "object"
 class _Stage:
     """The arm's looks, an object and a floor; every frame is a body that is put where it belongs."""
 
-    def __init__(self, object_size_m: float, size: tuple[int, int] | None = None, obstacles: Sequence[Box] = ()) -> None:
+    def __init__(self, object_size_m: float, size: tuple[int, int] | None = None) -> None:
         spec = mujoco.MjSpec()
         if size is not None:
             spec.visual.global_.offwidth, spec.visual.global_.offheight = size
@@ -62,8 +62,6 @@ class _Stage:
         spec.add_texture(name="sky", **sky, rgb1=(1.0, 1.0, 1.0), width=8, height=48)
         self._spec, self._meshes = spec, 0
         self._draw(spec.worldbody, looks.floor(), looks.FLOOR)
-        for box in obstacles:
-            self._draw(spec.worldbody, looks.obstacle(box), looks.OBSTACLE)
         bodies: dict[str, Any] = {}
         for part in looks.parts():
             if part.frame not in bodies:
@@ -91,6 +89,16 @@ class _Stage:
         mujoco.mj_forward(self.model, self.data)
 
 
+def _stand(seen: mujoco.MjvScene, obstacles: Sequence[Box]) -> None:
+    """Add obstacles to what is drawn: each attempt may have others, and what was compiled stays as it is."""
+    for box in obstacles:
+        shape = seen.geoms[seen.ngeom]
+        sides, turned = np.array(box.size_m) / 2.0, np.eye(3).ravel()
+        mujoco.mjv_initGeom(shape, mujoco.mjtGeom.mjGEOM_BOX, sides, box.centre_m, turned, (*looks.OBSTACLE, 1.0))
+        shape.category = mujoco.mjtCatBit.mjCAT_STATIC  # which throws a shadow
+        seen.ngeom += 1
+
+
 def _point(at: Any, camera: Camera) -> None:
     """Set one of MuJoCo's cameras up."""
     at.lookat[:] = camera.target_m
@@ -98,11 +106,11 @@ def _point(at: Any, camera: Camera) -> None:
 
 
 class View:
-    """Pictures of one size, with the same obstacles. Raises :class:`ArmError` where there is no way to draw."""
+    """Pictures of one size. Raises :class:`ArmError` where there is no way to draw."""
 
-    def __init__(self, object_size_m: float, size: tuple[int, int], obstacles: tuple[Box, ...] = ()) -> None:
-        self.shows = size, obstacles
-        self._stage = _Stage(object_size_m, size, obstacles)
+    def __init__(self, object_size_m: float, size: tuple[int, int]) -> None:
+        self.size = size
+        self._stage = _Stage(object_size_m, size)
         self._camera = mujoco.MjvCamera()
         try:
             self._renderer = mujoco.Renderer(self._stage.model, height=size[1], width=size[0])
@@ -116,6 +124,7 @@ class View:
         self._stage.put(scene)
         _point(self._camera, camera)
         self._renderer.update_scene(self._stage.data, self._camera)
+        _stand(self._renderer.scene, scene.obstacles)
         picture: NDArray[np.uint8] = self._renderer.render()
         return picture
 
@@ -137,6 +146,8 @@ class Window:
     def show(self, scene: Scene) -> None:
         with self._handle.lock():
             self._stage.put(scene)
+            self._handle.user_scn.ngeom = 0
+            _stand(self._handle.user_scn, scene.obstacles)
         self._handle.sync()
 
     def close(self) -> None:
