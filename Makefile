@@ -67,7 +67,8 @@ leaning: $(VENV)/.installed-launch  ## the paper's methods with a cup that gives
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
 beyond: $(VENV)/.installed-plan  ## obstacles and torques, and the report; about 12 hours on two cores
-	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=obstacles buffer=adaptive,uniform seed=$(SEEDS) $(OVERRIDES)
+	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=obstacles buffer=adaptive seed=$(SEEDS) $(OVERRIDES)
+	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=obstacles buffer=uniform episodes=80 experiences_per_episode=300 validate_every=8 checkpoint_every=8 seed=$(SEEDS) $(OVERRIDES)
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=uniform,steady_speed seed=$(SEEDS) $(OVERRIDES)
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=adaptive episodes=200 seed=$(SEEDS) $(OVERRIDES)
 	$(EVALUATE)/beyond traces=1
