@@ -72,8 +72,8 @@ beyond: $(VENV)/.installed-plan  ## obstacles and torques, and the report; about
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=uniform,steady_speed seed=$(SEEDS) $(OVERRIDES)
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=adaptive episodes=200 seed=$(SEEDS) $(OVERRIDES)
 	$(EVALUATE)/beyond traces=1
-	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=ik out=ik.csv
-	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=planner out=planner.csv
+	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=ik out=$(RESULTS)/beyond/obstacles-adaptive/seed0/ik.csv
+	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=planner out=$(RESULTS)/beyond/obstacles-adaptive/seed0/planner.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
 engines: $(VENV)/.installed-engines  ## the paper's policies in MuJoCo too, C and D trained there, and the report; about 30 minutes on two cores
