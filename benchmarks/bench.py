@@ -163,10 +163,8 @@ def bench_update(rounds: int) -> Iterator[Row]:
             SB3=(lambda: reference.train(gradient_steps=60, batch_size=BATCH), 60),
             floor=repeat(bare_products(), 60),
         )
-        yield from compare("one update against SB3", "1/s", {name: rates[name] for name in ("ours", "SB3")}, "> 2.2")
-        yield from compare(
-            "one update against its products", "1/s", {name: rates[name] for name in ("ours", "floor")}, "> 0.56"
-        )
+        yield from compare("one update against SB3", "1/s", {name: rates[name] for name in ("ours", "SB3")}, "> 1.3")
+        yield from compare("one update against its products", "1/s", {name: rates[name] for name in ("ours", "floor")}, "> 0.6")
         policy = agent.policy(trained.policy_card(configuration.compose("train")))
         seen = np.random.default_rng(0).normal(0, 0.1, observation.SIZE).astype(np.float32)
         rates = alternate(
@@ -174,7 +172,7 @@ def bench_update(rounds: int) -> Iterator[Row]:
             ours=repeat(lambda: policy.act(seen), 500),
             SB3=repeat(lambda: reference.predict(seen, deterministic=True), 500),
         )
-        yield from compare("one greedy action", "1/s", rates, "> 10")
+        yield from compare("one greedy action", "1/s", rates, "> 8")
 
 
 def bench_simulation(rounds: int) -> Iterator[Row]:
@@ -284,10 +282,11 @@ class OurTraining:
         return train(self.learner, schedule, lambda: None, end_of_episode, stop), stop
 
     def snapshot(self) -> Callable[[], checkpoint.Checkpoint]:
-        """What a checkpoint saves, with a replay buffer that is full."""
+        """What a checkpoint saves, with a replay buffer that is full; the training can go on, an update for each experience."""
         replay = self.learner.replay
         replay.added = replay.capacity
-        self.counters.updates = replay.added - EPISODE
+        self.counters.experiences = replay.capacity // 2
+        self.counters.updates = self.counters.experiences - EPISODE
         return self.learner.snapshot()
 
     def close(self) -> None:
@@ -319,8 +318,10 @@ def bench_training(rounds: int) -> Iterator[Row]:
         ours = inline.counters.control_steps / inline.counters.decisions
         steps = "" if hold == "uniform" else f" ({ours:.1f} control steps each, SB3 {theirs:.1f})"
         one, both = {k: rates[k] for k in ("inline", "SB3")}, {k: rates[k] for k in ("beside", "SB3")}
-        yield from compare(f"training, {hold}, one core{steps}", "decisions/s", one, "> 2.2")
-        yield from compare(f"training, {hold}, both cores{steps}", "decisions/s", both, "> 3" if hold == "adaptive" else "")
+        yield from compare(f"training, {hold}, one core{steps}", "decisions/s", one, "> 1.2")
+        yield from compare(
+            f"training, {hold}, both cores{steps}", "decisions/s", both, "> 1.7" if hold == "adaptive" else "> 1.4"
+        )
 
 
 class ControlSteps(gymnasium.Wrapper):
@@ -351,7 +352,7 @@ def bench_side_by_side(rounds: int, episodes: int) -> Iterator[Row]:
             run(seeds)
             rates[name] += took
     medians = {name: statistics.median(values) for name, values in rates.items()}
-    yield from compare("two runs side by side", "experiences/s", medians, "> 1.85")
+    yield from compare("two runs side by side", "experiences/s", medians, "> 1.6")
 
 
 def bench_stacked(rounds: int) -> Iterator[Row]:
@@ -397,7 +398,7 @@ def bench_evaluation(rounds: int) -> Iterator[Row]:
         assert len(rows) == 100
 
     rates = alternate(max(1, rounds // 3), two_cores=(partial(run, 2), 100), one_core=(partial(run, 1), 100))
-    yield from compare("100 positions, start of the workers included", "positions/s", rates, "> 1.7")
+    yield from compare("100 positions, start of the workers included", "positions/s", rates, "> 0.95")
 
 
 class Restless:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.bench import HOME, Bench, spares
 from uarm_rl.emulator.realism import Settings
-from uarm_rl.real.audit import KnownObject, Limits, UnsafeCommandError, audit
+from uarm_rl.real.audit import KnownObject, Limits, ObstructedError, UnsafeCommandError, audit, way
 from uarm_rl.task import kinematics
 from uarm_rl.task.obstacles import Box, clearances_m
 
@@ -208,3 +208,47 @@ def test_an_arm_that_stands_too_near_an_obstacle_may_leave_it_and_not_approach()
     audit(away, at, feed=20.0, limits=near, single_step=False)
     with pytest.raises(UnsafeCommandError, match="of an obstacle"):
         audit(nearer, at, feed=20.0, limits=near, single_step=False)
+
+
+def test_with_an_obstacle_in_its_way_the_arm_draws_in_and_turns():
+    left, right, higher = (
+        tuple(kinematics.inverse(place)) for place in ((0.14, 0.24, 0.12), (0.24, 0.0, 0.12), (0.24, 0.0, 0.15))
+    )
+    farther = Limits(obstacles=(Box((0.24, 0.15, 0.1), (0.03, 0.03, 0.2)),))
+    legs = way(right, left, feed=20.0, limits=farther)
+    assert len(legs) > 1
+    at = left
+    for leg in legs:
+        at = audit(leg, at, feed=20.0, limits=farther, single_step=False).joints_rad
+    assert at == pytest.approx(right, abs=1e-9)
+    assert way(right, higher, feed=20.0, limits=farther) == [right]
+
+
+def test_only_an_obstacle_is_gone_round_and_only_where_there_is_room():
+    left, right = (tuple(kinematics.inverse(place)) for place in ((0.14, 0.24, 0.12), (0.24, 0.0, 0.12)))
+    with pytest.raises(UnsafeCommandError, match="outside the joint limits"):
+        way((0.0, 9.0, 0.0), left, feed=20.0, limits=WITH_POST)
+    wall = Limits(obstacles=(Box((0.2, 0.12, 0.15), (0.2, 0.02, 0.3)),))
+    with pytest.raises(ObstructedError, match="of an obstacle"):
+        way(right, left, feed=20.0, limits=wall)
+
+
+@given(st.floats(-0.6, 0.6), st.floats(0.0, 3.1))
+@settings(max_examples=40, deadline=None)
+def test_what_hangs_from_the_cup_keeps_clear_too(bearing, turned):
+    """A box below the way of the cup, and one that hangs from it, however it is turned: its corners stay outside."""
+    low, size_m = Box((0.22, 0.0, 0.02), (0.04, 0.06, 0.04)), np.array([0.05, 0.03, 0.03])
+    carrying = Limits(obstacles=(low,)).carrying(size_m.tolist())
+    start, end = (tuple(kinematics.inverse((0.22 * math.cos(a), 0.22 * math.sin(a), 0.09))) for a in (-0.9, bearing))
+    audit(end, start, feed=20.0, limits=Limits(obstacles=(low,)), single_step=False)
+    try:
+        audit(end, start, feed=20.0, limits=carrying, single_step=False)
+    except ObstructedError:
+        assert bearing > -0.5  # else it does not come near
+        return
+    assert bearing < 0.0
+    corners = np.array([[a, b] for a in (-0.5, 0.5) for b in (-0.5, 0.5)]) * size_m[:2]
+    spin = np.array([[math.cos(turned), -math.sin(turned)], [math.sin(turned), math.cos(turned)]])
+    around = kinematics.cup_position(end)[:2] + corners @ spin.T
+    beyond = np.abs(around - low.centre_m[:2]) - np.array(low.size_m[:2]) / 2.0
+    assert (beyond.max(axis=1) > 0.0).all()  # a corner of the one is not in the other

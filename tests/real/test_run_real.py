@@ -44,6 +44,11 @@ ROOT = Path(__file__).parents[2]
         (["--dry-run", "--trials", "5"], ["dry_run=true", "trials=5"]),
         (["--target", "0.2", "-0.1", "0.03", "camera=none"], ["target=[0.2,-0.1,0.03]", "camera=none"]),
         (["--target", "0.2", "-.1", "3e-2", "-m"], ["target=[0.2,-.1,3e-2]", "-m"]),
+        (
+            ["--obstacle", "1", "0", "0", "1", "1", "1", "--trials", "1", "--obstacle", "2", "0", "0", "1", "1", "1"],
+            ["trials=1", "obstacle=[[1,0,0,1,1,1],[2,0,0,1,1,1]]"],
+        ),
+        (["--obstacle=[1,0,0,1,1,1]", "--dry-run"], ["dry_run=true", "obstacle=[1,0,0,1,1,1]"]),
         (["--camera.port", "/dev/pts/1"], ["camera.port=/dev/pts/1"]),
         (["--out", "a (b)'s"], ["out='a (b)\\'s'"]),
         (["--seed", "0,1", "--multirun"], ["seed=0,1", "--multirun"]),
@@ -303,7 +308,8 @@ def test_an_obstacle_that_is_told_is_not_approached(run, served, tmp_path):
     assert (code, "mm of an obstacle, and 10 mm are to be kept; choose another target" in error) == (1, True)
     assert set(firmware.moves()) <= {b"G2206 B90.000 L118.000 R50.000 F20.0"}  # where it stands, the folded pose
     assert b"M2231 V0" in firmware.heard
-    code, output, error = run("run-real", *words, 0.22, 0.2, 0.1, 0.03, 0.03, 0.2, "overwrite=true")
+    two = (0.22, 0.2, 0.1, 0.03, 0.03, 0.2, "--obstacle", 0.22, -0.2, 0.1, 0.03, 0.03, 0.2)
+    code, output, error = run("run-real", *words, *two, "overwrite=true")
     assert (code, error, "1 of 1 held" in output) == (0, "", True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 
@@ -16,6 +17,7 @@ from uarm_rl.commands.run_real import rehearse
 from uarm_rl.emulator.faults import Fault
 from uarm_rl.emulator.memory_port import MemoryPort
 from uarm_rl.emulator.realism import Settings
+from uarm_rl.real.audit import Limits
 from uarm_rl.real.link import Link
 from uarm_rl.real.search import CameraSearch
 from uarm_rl.real.swift_arm import PumpState, SwiftArm
@@ -25,6 +27,7 @@ from uarm_rl.real.vision.camera_model import CalibrationError, nominal
 from uarm_rl.real.vision.detection import MarkerDetector
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import ArmError
+from uarm_rl.task.obstacles import Box, boxes
 from uarm_rl.task.policy import InverseKinematicsPolicy
 
 
@@ -214,6 +217,27 @@ def test_every_place_can_be_reached_lifted_and_left():
             assert rows[0]["success"], rows[0]["reason"]
 
 
+def test_past_obstacles_the_object_goes_from_place_to_place_whatever_the_policy_does():
+    """A policy that stays where it is gets nothing; the object is fetched and carried on, every way of it audited."""
+    obstacles = (Box((0.22, 0.12, 0.06), (0.04, 0.04, 0.12)), Box((0.20, -0.13, 0.04), (0.06, 0.06, 0.08)))
+    generator, within = np.random.default_rng(0), Limits(obstacles=obstacles)
+    put_down = scattered(generator, within.carrying(TASK.object_size_m))
+    places = []
+
+    def noted(place):
+        places.append(put_down(place))
+        return places[-1]
+
+    with rehearse(lambda line: None, limits=within) as arm:
+        begin, task = GivenTarget(np.array([0.1, -0.25, 0.03])), dataclasses.replace(TASK, time_limit_s=0.5)
+        rows = trials(None, arm, count=12, search=begin, policy=Still(), put_down=noted, task=task)
+        assert arm.carried_m is None
+    assert [row["success"] for row in rows] == [False] * 12
+    assert len(places) >= 12
+    for place in places:
+        assert all(math.dist(place[:2], box.centre_m[:2]) > 0.04 for box in obstacles)
+
+
 # With a camera, over PyBullet, in virtual time
 
 
@@ -223,7 +247,7 @@ def workplace(*overrides):
     return emulate.Workplace(**{key: value for key, value in settings.items() if key not in ("results_dir", "speed")})
 
 
-def look_for_it(place, detector=None, whole_object=True, size_m=(0.03, 0.03, 0.03)):
+def look_for_it(place, detector=None, whole_object=True, size_m=(0.03, 0.03, 0.03), limits=None):
     """The search with the workplace's camera, and an arm; both on ports in memory."""
     port = MemoryPort(place.camera)
     camera = OpenMVCamera(port, clock=port.clock)
@@ -236,7 +260,7 @@ def look_for_it(place, detector=None, whole_object=True, size_m=(0.03, 0.03, 0.0
         whole_object=whole_object,
     )
     place.arm_port = port = MemoryPort(place.firmware)
-    return SwiftArm(Link(port, "workplace", clock=port.clock)), search
+    return SwiftArm(Link(port, "workplace", clock=port.clock), limits=limits), search
 
 
 def test_an_object_is_found_picked_and_put_down_by_camera():
@@ -255,6 +279,16 @@ def test_an_object_is_found_picked_and_put_down_by_camera():
             assert trial.picture.shape == (240, 320, 3)
         assert [first.row[f"target_{axis}_m"] for axis in "xyz"] == pytest.approx(truth, abs=0.004)
         assert second.row["looks"] == 2  # it looks first where it has put it
+
+
+def test_behind_a_post_that_bars_some_of_the_views_the_object_is_found_from_others():
+    post = [0.22, 0.15, 0.1, 0.03, 0.03, 0.2]
+    limits = Limits(obstacles=boxes("obstacle", post))
+    with workplace(f"obstacle={post}", "object_position=[0.06,0.27,0.03]", "seed=5") as place:
+        arm, search = look_for_it(place, limits=limits)
+        with arm:
+            sighting = search.find(arm, None)
+    assert sighting.target_m == pytest.approx((0.06, 0.27, 0.03), abs=0.004)
 
 
 @pytest.mark.parametrize("look", ["tag", "sticker"])

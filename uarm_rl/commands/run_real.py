@@ -101,7 +101,7 @@ def run(settings: Settings) -> None:
             stack.enter_context(arm)
             if live is not None:
                 arm.on_state = live.moved
-            put_down = None if told is not None else scattered(generator, within)
+            put_down = None if told is not None else scattered(generator, within.carrying(size_m))
             results = run_trials(arm, policy, search, task, put_down, trials=trials, first=done + 1)
             if dry_run:  # whose commands stand between the rows
                 for trial in results:

@@ -20,6 +20,8 @@ _HYDRAS: Final = (
     "experimental-rerun|info"
 )
 _OPTION: Final = re.compile(rf"--(?!(?:{_HYDRAS})(?:=|$))([a-z][\w.@/-]*)(?:=(.*))?", re.DOTALL)
+#: Options that tell of one thing each, and may come once for every such thing.
+_REPEATED: Final = ("obstacle",)
 _NUMBER: Final = re.compile(r"-\.?\d.*")
 #: Values that Hydra reads without quotes: words, numbers, paths, lists.
 _PLAIN: Final = re.compile(r"[\w./:,+@%$\[\]{} -]+", re.ASCII)
@@ -31,9 +33,11 @@ _GRAMMAR: Final = re.compile(r"""['"\\()\[\]{}]""")
 def as_overrides(words: list[str]) -> list[str]:
     """``--name value`` as ``name=value``, the one spelling that is read further on, with quotes where Hydra needs them.
 
-    ``--dry-run`` is ``dry_run=true``, ``--target 0.2 0 0.03`` is ``target=[0.2,0,0.03]``.
+    ``--dry-run`` is ``dry_run=true``, ``--target 0.2 0 0.03`` is ``target=[0.2,0,0.03]``, and a second ``--obstacle`` is one
+    more in a list of them.
     """
     overrides: list[str] = []
+    repeated: dict[str, list[str]] = {}
     rest = list(words)
     while rest:
         word = rest.pop(0)
@@ -46,7 +50,13 @@ def as_overrides(words: list[str]) -> list[str]:
             values.append(rest.pop(0))
         name = option[1].replace("-", "_")
         text = ",".join(value if _PLAIN.fullmatch(value) else _quoted(value) for value in values)
-        overrides.append(f"{name}=[{text}]" if len(values) > 1 else f"{name}={text if values else 'true'}")
+        text = f"[{text}]" if len(values) > 1 else text if values else "true"
+        if name in _REPEATED:
+            repeated.setdefault(name, []).append(text)
+        else:
+            overrides.append(f"{name}={text}")
+    for name, given in repeated.items():
+        overrides.append(f"{name}={given[0]}" if len(given) == 1 else f"{name}=[{','.join(given)}]")
     return overrides
 
 

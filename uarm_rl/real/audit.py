@@ -7,7 +7,8 @@ import logging
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from numbers import Real
 from typing import Final
 
@@ -16,6 +17,7 @@ from uarm_rl.real.gcode import FEED_DEG_S, Command
 from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
 from uarm_rl.task.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
+from uarm_rl.task.layouts import ways_between
 from uarm_rl.task.obstacles import Box, way_clearances_m
 
 log = logging.getLogger(__name__)
@@ -41,6 +43,10 @@ class UnsafeCommandError(ArmError):
     """A motion command that the audit refuses; nothing was sent and the arm is as it was."""
 
 
+class ObstructedError(UnsafeCommandError):
+    """A motion command that is refused for an obstacle in its way, and for nothing else."""
+
+
 @dataclass(frozen=True)
 class Limits:
     """Where the cup may be (m, base frame), how far one step may go, how fast the motors may turn.
@@ -57,6 +63,10 @@ class Limits:
     max_speed_deg_s: float = 40.0
     obstacle_clearance_m: float = 0.01
     obstacles: tuple[Box, ...] = ()
+
+    def carrying(self, size_m: Sequence[float]) -> Limits:
+        """These limits while something of that length, width and height (m) hangs from the cup: it too keeps clear."""
+        return replace(self, obstacles=tuple(box.around(size_m) for box in self.obstacles))
 
     def __post_init__(self) -> None:
         for name in ("x_m", "y_m", "z_m"):
@@ -156,6 +166,27 @@ def audit(
     return Audited(Command("G2206", *legal, feed), (b1, j2, j3), math.dist(start, legal), clamped, pulled_up_m)
 
 
+def way(
+    reference_rad: Sequence[float], joints_rad: JointPositions, *, feed: float, limits: Limits, known: KnownObject | None = None
+) -> list[Sequence[float]]:
+    """What to command one after the other to come to ``reference_rad``: it alone, or with an obstacle in the way others first.
+
+    :func:`audit` lets all of it pass. Where it lets none pass that was tried, this raises what it raises for the straight way.
+    """
+    passes = partial(audit, feed=feed, limits=limits, single_step=False, known=known)
+    try:
+        passes(reference_rad, joints_rad)
+    except ObstructedError:
+        for legs in ways_between(joints_rad, reference_rad):
+            at = joints_rad
+            with suppress(UnsafeCommandError):
+                for leg in legs:
+                    at = passes(leg.tolist(), at).joints_rad
+                return [leg.tolist() for leg in legs]
+        raise
+    return [reference_rad]
+
+
 def _spared(
     reference: JointPositions, joints_rad: JointPositions, known: KnownObject | None, most_rad: float
 ) -> tuple[JointPositions, float]:
@@ -245,7 +276,7 @@ def _check_obstacles(start_rad: JointPositions, end_rad: JointPositions, limits:
     begins_m, *on_its_way_m = way_clearances_m(start_rad, end_rad, limits.obstacles, math.radians(_CLOSE_STEP_DEG)).tolist()
     nearest_m, allowed_m = min(on_its_way_m), limits.obstacle_clearance_m
     if nearest_m < min(allowed_m, begins_m - _ROUNDING_M):
-        raise UnsafeCommandError(
+        raise ObstructedError(
             f"on its way to {_degrees(end_rad)} the arm would be within {1000.0 * max(0.0, nearest_m):.0f} mm of an obstacle, "
             f"and {1000.0 * allowed_m:g} mm are to be kept; choose another target, or move the obstacle"
         )

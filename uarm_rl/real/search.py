@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uarm_rl.real.audit import ObstructedError
 from uarm_rl.real.swift_arm import SwiftArm
 from uarm_rl.real.trials import ObjectNotFoundError, Sighting
 from uarm_rl.real.vision.camera import Camera, CameraError
@@ -61,14 +61,14 @@ class CameraSearch:
         """Look from pose after pose until the object is seen, then once more from above it."""
         looks = 0
         reasons: Counter[str] = Counter()
-        for pose in self._poses(guess_m):
+        for poses in self._poses(guess_m):
             try:
-                joints = pose()
+                self._go(arm, poses)
                 looks += 1
-                first = self._look(arm, joints)[0]
-                above = self._above(first)
+                first = self._look(arm)[0]
+                self._go(arm, self._above(first))
                 looks += 1
-                target, misfit_px, picture = self._look(arm, above)
+                target, misfit_px, picture = self._look(arm)
             except TargetNotFoundError as error:
                 reasons[str(error)] += 1
                 continue
@@ -81,29 +81,45 @@ class CameraSearch:
             "350 mm from the axis of its base, and check light, detector and what else is on the table"
         )
 
-    def _poses(self, guess_m: Vector | None) -> Iterator[Callable[[], Vector]]:
+    def _poses(self, guess_m: Vector | None) -> Iterator[Iterable[Vector]]:
+        """Where to look from, one after the other; each is a choice of poses."""
         if guess_m is not None:
-            yield partial(self._above, guess_m)
+            yield self._above(guess_m)
         for turn_deg in _TURNS_DEG:
             for radius_m, height_m in _RINGS_M:
                 turn = math.radians(turn_deg)
-                yield partial(kinematics.inverse, (radius_m * math.cos(turn), radius_m * math.sin(turn), height_m))
+                yield [kinematics.inverse((radius_m * math.cos(turn), radius_m * math.sin(turn), height_m))]
 
-    def _above(self, point_m: Vector) -> Vector:
-        """The pose that looks down at a point; far to the side, where the base cannot turn enough, a little beside it."""
+    def _above(self, point_m: Vector) -> Iterator[Vector]:
+        """Poses that look down at a point; far to the side, where the base cannot turn enough, or beside an obstacle, from a
+        little beside it. Raises ``TargetNotFoundError`` behind the last."""
         x, y, z = point_m.tolist()
-        for turn_deg in _ASIDE_DEG:
-            turn = math.copysign(math.radians(turn_deg), -y)
+        reason = ""
+        for turn_deg in (*_ASIDE_DEG, *(-aside for aside in _ASIDE_DEG[1:])):
+            turn = math.copysign(1.0, -y) * math.radians(turn_deg)
             beside = math.cos(turn) * x - math.sin(turn) * y, math.sin(turn) * x + math.cos(turn) * y, z
             try:
-                return look_at(beside, self._calibration, _SECOND_LOOK_M)
+                yield look_at(beside, self._calibration, _SECOND_LOOK_M)
             except kinematics.UnreachableError as error:
-                reason = str(error)
-        raise TargetNotFoundError(reason)
+                reason = reason or str(error)
+        if reason:
+            raise TargetNotFoundError(reason)
 
-    def _look(self, arm: SwiftArm, joints: Vector) -> tuple[Vector, float | None, NDArray[np.uint8]]:
-        """Target (m), misfit (px) and picture from one pose. Raises ``TargetNotFoundError``."""
-        arm.move_joints(joints.tolist())
+    @staticmethod
+    def _go(arm: SwiftArm, poses: Iterable[Vector]) -> None:
+        """To the first of the poses that no obstacle is in the way of. Raises ``TargetNotFoundError`` if there is none."""
+        refused = ""
+        for joints in poses:
+            try:
+                arm.move_joints(joints.tolist())
+            except ObstructedError as error:
+                refused = str(error)
+            else:
+                return
+        raise TargetNotFoundError(refused)
+
+    def _look(self, arm: SwiftArm) -> tuple[Vector, float | None, NDArray[np.uint8]]:
+        """Target (m), misfit (px) and picture from where the arm is. Raises ``TargetNotFoundError``."""
         arm.rest(_SETTLE_S)
         at = arm.read_joints()
         picture = self._camera.read()

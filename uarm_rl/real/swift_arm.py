@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from uarm_rl import checks, signals
 from uarm_rl.real import gcode
-from uarm_rl.real.audit import KnownObject, Limits, audit
+from uarm_rl.real.audit import KnownObject, Limits, audit, way
 from uarm_rl.real.handshake import PUMP_S, NotReadyError, greet
 from uarm_rl.real.link import BadReplyError, CommandRefusedError, Event, Link, NoReplyError
 from uarm_rl.task import kinematics
@@ -102,6 +102,8 @@ class SwiftArm:
         #: What stands in the way, and how many references were raised to spare it so far.
         self.known: KnownObject | None = None
         self.pull_ups = 0
+        #: Length, width and height (m) of what hangs from the cup.
+        self.carried_m: tuple[float, float, float] | None = None
         #: Who is told of every new state; what it raises is not felt here, and it must not wait.
         self.on_state: Callable[[ArmState], None] | None = None
         self._pump: PumpState | None = None  # as it was read last
@@ -159,11 +161,14 @@ class SwiftArm:
         self.move_joints(kinematics.HOME_JOINTS_RAD.tolist())
 
     def move_joints(self, reference_rad: Sequence[float]) -> None:
-        """Go to ``reference_rad`` in one straight line of joint angles, however far, and wait."""
+        """Go to ``reference_rad``, however far, and wait: in a straight line of joint angles, or with an obstacle in its way
+        drawn in, turned and stretched out again. Raises ``UnsafeCommandError`` before anything is sent.
+        """
         self.wait_until_idle()
         self._joints = self._read_encoders()
-        self._move(reference_rad, single_step=False)
-        self.wait_until_idle()
+        for joints_rad in way(reference_rad, self._joints, feed=self._feed, limits=self._bounds, known=self.known):
+            self._move(joints_rad, single_step=False)
+            self.wait_until_idle()
 
     def read_joints(self) -> JointPositions:
         """The encoders' joint1..joint3 (rad, steps of 0.0015 rad), after the arm has come to rest; takes 40 ms."""
@@ -289,9 +294,13 @@ class SwiftArm:
         first, second, third = kinematics.from_motor_deg(base, left, right).tolist()
         return first, second, third
 
+    @property
+    def _bounds(self) -> Limits:
+        return self._limits.carrying(self.carried_m) if self.carried_m else self._limits
+
     def _move(self, reference_rad: Sequence[float], *, single_step: bool) -> None:
         audited = audit(
-            reference_rad, self._joints, feed=self._feed, limits=self._limits, single_step=single_step, known=self.known
+            reference_rad, self._joints, feed=self._feed, limits=self._bounds, single_step=single_step, known=self.known
         )
         self.clamps += audited.clamped
         self.pull_ups += audited.pulled_up_m > 0.0

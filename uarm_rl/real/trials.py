@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uarm_rl import checks
-from uarm_rl.real.audit import KnownObject, Limits, UnsafeCommandError
+from uarm_rl.real.audit import KnownObject, Limits, ObstructedError, UnsafeCommandError
 from uarm_rl.real.swift_arm import PumpState, SwiftArm
 from uarm_rl.task import kinematics, positions
 from uarm_rl.task.arm import Ghost
@@ -40,6 +40,7 @@ _SEAL_S: Final = 1.0  # how long a cup may take to seal; users of the arm wait 0
 _LOOK_S: Final = 0.1
 _HANG_S: Final = 0.5  # how long the object must hang after the lift
 _RELEASE_S: Final = 0.5  # the valve lets air in
+_PLACES: Final = 50  # are tried to put the object down, where obstacles are in the way
 
 #: The environment wants a reward; on the real arm nobody looks at it.
 _REWARD: Final = DistanceReward(alpha=1.0, beta=0.0, sigma=0.0, alpha_d=-1.0, beta_d=-1.0)
@@ -192,7 +193,7 @@ def run_trials(
             held = row["success"] or (put_down is not None and not out_of_reach(at) and _fetch(arm, at, task))
             if held:
                 arm.known = None  # it hangs from the cup
-                at = at if put_down is None else put_down(at)
+                at = _carry(arm, at, put_down)
                 lost = _put_down(arm, at)
                 row["reason"] = row["reason"] or lost
         row |= {"clamps": arm.clamps - clamps, "pull_ups": arm.pull_ups - pull_ups}
@@ -260,6 +261,7 @@ def _pick_up(arm: SwiftArm, target_m: Vector, task: Task) -> str:
     if not sealed:
         _let_go(arm, top_m)
         return f"the cup did not seal on the object, pressed {1000.0 * press_m:.0f} mm into its upper surface"
+    arm.carried_m = task.object_size_m
     _rise(arm, top_m + LIFT_M)
     if _holds(arm, _HANG_S, soon=False):
         return ""
@@ -271,24 +273,46 @@ def _pick_up(arm: SwiftArm, target_m: Vector, task: Task) -> str:
 def _let_go(arm: SwiftArm, top_m: float) -> None:
     """Switch the pump off down there, and rise: what half hangs from the cup, or sealed late, does not fall."""
     arm.pump_off()
+    arm.carried_m = None
     arm.rest(_RELEASE_S)
     _rise(arm, top_m + LIFT_M)
 
 
 def _fetch(arm: SwiftArm, target_m: Vector, task: Task) -> bool:
     """Pick up what the policy left, by inverse kinematics; whether it hangs from the cup."""
-    arm.move_joints(kinematics.inverse(target_m + np.array([0.0, 0.0, LIFT_M])).tolist())
-    _straight(arm, float(target_m[2]))
+    try:
+        arm.move_joints(_over(target_m))
+        _straight(arm, float(target_m[2]))
+    except ObstructedError:
+        _rise(arm, float(target_m[2]) + LIFT_M)
+        return False
     return not _pick_up(arm, target_m, task)
 
 
+def _carry(arm: SwiftArm, target_m: Vector, put_down: Callable[[Vector], Vector] | None) -> Vector:
+    """Bring what hangs from the cup over the place where it goes, one that obstacles leave a way to; the place."""
+    for places_left in reversed(range(1 if put_down is None else _PLACES)):
+        place = target_m if put_down is None else put_down(target_m)
+        try:
+            arm.move_joints(_over(place))
+            break
+        except ObstructedError:
+            if not places_left:
+                raise
+    return place
+
+
 def _put_down(arm: SwiftArm, place_m: Vector) -> str:
-    """Carry the object to ``place_m`` and let go; a remark if it was lost on the way."""
-    arm.move_joints(kinematics.inverse(place_m + np.array([0.0, 0.0, LIFT_M])).tolist())
+    """Put what hangs from the cup down onto the place below it; a remark if it was lost on the way there."""
     lost = arm.pump_state() is not PumpState.HOLDING
     _straight(arm, float(place_m[2]))
     _let_go(arm, float(place_m[2]))
     return "the object was held after the lift and fell off on the way to where it goes" if lost else ""
+
+
+def _over(place_m: Vector) -> list[float]:
+    joints: list[float] = kinematics.inverse(place_m + np.array([0.0, 0.0, LIFT_M])).tolist()
+    return joints
 
 
 def _holds(arm: SwiftArm, seconds: float, *, soon: bool) -> bool:
@@ -324,5 +348,5 @@ def _rise(arm: SwiftArm, height_m: float) -> None:
         straight = kinematics.reachable((x, y, height_m), positions.MARGIN_RAD)
         try:
             _straight(arm, height_m, None if straight else min(max(radius_m, _MIDDLE_M[0]), _MIDDLE_M[1]))
-        except kinematics.UnreachableError:  # in the farthest corners that line leaves the arm's range
+        except (kinematics.UnreachableError, UnsafeCommandError):  # in the farthest corners that line leaves the arm's range
             arm.home()

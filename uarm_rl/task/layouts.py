@@ -40,6 +40,8 @@ _STRAIGHT: Final = 12  # poses on that way
 _STEP_RAD: Final = 0.1
 #: Where the arm may lift its cup to before it turns: distance from the axis and height, the easiest first.
 _LIFTS_M: Final = tuple((radius, height) for height in (0.22, 0.26, 0.17, 0.12) for radius in (0.2, 0.14, 0.26))
+#: And where an arm that has to come past whatever stands there: as near to its base as it can.
+_DRAWN_IN_M: Final = ((0.1275, 0.14), (0.12, 0.085))
 
 
 class Layout(NamedTuple):
@@ -179,18 +181,33 @@ def way(layout: Layout) -> list[Vector] | None:
 def _ways(object_m: Vector) -> Iterator[list[Vector]]:
     """Lift the cup, turn to the object, stretch until the cup is over it, come down; without the lift where it can be."""
     x, y, z = object_m.tolist()
-    turn, reach_m = math.atan2(y, x), math.hypot(x, y)
     on, above = kinematics.inverse(object_m), kinematics.inverse((x, y, z + positions.APPROACH_HEIGHT_M))
-    for radius_m, height_m in _LIFTS_M:
-        if not kinematics.reachable((radius_m, 0.0, height_m)):
-            continue
-        up = kinematics.inverse((radius_m, 0.0, height_m))
-        across = np.array([turn, *up[1:]])
-        legs = [kinematics.HOME_JOINTS_RAD, up, across]
-        over = (reach_m * math.cos(turn), reach_m * math.sin(turn), height_m)
-        if kinematics.reachable(over):
-            legs.append(kinematics.inverse(over))
-        yield [*legs, above, on]
+    for up in _lifts(_LIFTS_M):
+        yield [kinematics.HOME_JOINTS_RAD, up, *_outwards(above, up), on]
+
+
+def ways_between(start_rad: Sequence[float] | Vector, end_rad: Sequence[float] | Vector) -> Iterator[list[Vector]]:
+    """Ways that may lead past obstacles where the straight one does not: the ends of the straight ways that they consist of.
+
+    Draw the cup in and up, turn, stretch. Nothing is said of whether anything is in the way of one.
+    """
+    for up in _lifts(_LIFTS_M + _DRAWN_IN_M):
+        yield [*_outwards(np.array(start_rad), up)[-2::-1], *_outwards(np.array(end_rad), up)]
+
+
+def _lifts(places_m: Iterable[tuple[float, float]]) -> Iterator[Vector]:
+    """Joint positions with the cup straight ahead, at those of the distances and heights that it reaches."""
+    for radius_m, height_m in places_m:
+        if kinematics.reachable((radius_m, 0.0, height_m)):
+            yield kinematics.inverse((radius_m, 0.0, height_m))
+
+
+def _outwards(pose_rad: Vector, up_rad: Vector) -> list[Vector]:
+    """From a lifted cup, turned to a pose, stretched out at that height, to the pose."""
+    (x, y, _), height_m = kinematics.cup_position(pose_rad).tolist(), float(kinematics.cup_position(up_rad)[2])
+    turn = math.atan2(y, x)
+    over = (x, y, height_m)
+    return [np.array([turn, *up_rad[1:]]), *([kinematics.inverse(over)] if kinematics.reachable(over) else []), pose_rad]
 
 
 def _is_free(legs: Sequence[Vector], obstacles: Sequence[Box]) -> bool:

@@ -37,6 +37,12 @@ class Box(NamedTuple):
     centre_m: tuple[float, float, float]
     size_m: tuple[float, float, float]
 
+    def around(self, carried_m: Sequence[float]) -> Box:
+        """Where the cup may not be lest what hangs from it (length, width, height, m; however turned) is in this box."""
+        (x, y, z), (length, width, tall) = self
+        aside, below = math.hypot(carried_m[0], carried_m[1]), carried_m[2]
+        return Box((x, y, z + below / 2.0), (length + aside, width + aside, tall + below))
+
     def __str__(self) -> str:
         place, size = (", ".join(f"{1000.0 * value:g}" for value in values) for values in self)
         return f"the obstacle of ({size}) mm at ({place}) mm"
