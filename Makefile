@@ -66,11 +66,13 @@ leaning: $(VENV)/.installed-launch  ## the paper's methods with a cup that gives
 	$(EVALUATE)/bellows object=ghost out=ghost.csv
 	$(BIN)/uarm-rl report results_dir=$(RESULTS)
 
-beyond: $(VENV)/.installed-plan  ## obstacles and torques, and the report; about 12 hours on two cores
+beyond: $(VENV)/.installed-plan  ## obstacles and torques, and the report; about 3 hours on two cores
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=obstacles buffer=adaptive seed=$(SEEDS) $(OVERRIDES)
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=obstacles buffer=uniform episodes=80 experiences_per_episode=300 validate_every=8 checkpoint_every=8 seed=$(SEEDS) $(OVERRIDES)
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=uniform,steady_speed seed=$(SEEDS) $(OVERRIDES)
 	$(TRAIN) results_dir=$(RESULTS)/beyond experiment=torque buffer=adaptive episodes=200 seed=$(SEEDS) $(OVERRIDES)
+	$(TRAIN) results_dir=$(RESULTS)/arm experiment=obstacles_arm seed=0 $(OVERRIDES)
+	$(EVALUATE)/arm
 	$(EVALUATE)/beyond traces=1
 	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=ik out=$(RESULTS)/beyond/obstacles-adaptive/seed0/ik.csv
 	$(BIN)/uarm-rl evaluate run=$(RESULTS)/beyond/obstacles-adaptive/seed0 policy=planner out=$(RESULTS)/beyond/obstacles-adaptive/seed0/planner.csv

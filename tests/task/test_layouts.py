@@ -199,3 +199,14 @@ def test_layouts_come_back_from_a_file_and_a_file_that_is_not_there_is_a_sentenc
     path.write_text(f"{HEAD}\n")
     with pytest.raises(ValueError, match="holds no layouts"):
         layouts.load_named(str(path), 3)
+
+
+def test_on_a_desk_things_stand_anywhere_and_there_is_a_way_all_the_same():
+    generator, task = np.random.default_rng(7), layouts.Obstacles(3, -1.0, anywhere=1.0)
+    drawn = [task.draw(generator, 0.03, np.zeros(3)) for _ in range(40)]
+    turns = [math.atan2(layout.object_m[1], layout.object_m[0]) for layout in drawn]
+    assert min(map(abs, turns)) < 0.2  # straight ahead too
+    sides = [{box.centre_m[1] * turn > 0.0 for box in layout.obstacles} for layout, turn in zip(drawn, turns, strict=True)]
+    assert {True, False} in sides
+    assert {False} in sides
+    assert all(layouts.way(layout) for layout in drawn)

@@ -100,8 +100,8 @@ def _title(settings: Settings, policy: str | None) -> str:
 
     if policy == "ik":
         return "inverse kinematics"
-    buffer, reward = settings["buffer"]["name"], settings["reward"]["name"]
-    return next((one.words for one in METHODS if (one.buffer, one.reward) == (buffer, reward)), f"{buffer}, {reward}")
+    name, buffer, reward = settings["name"], settings["buffer"]["name"], settings["reward"]["name"]
+    return next((one.words for one in METHODS if one.folder == name), f"{name}: {buffer}, {reward}")
 
 
 def _stage(settings: Settings, time_limit_s: float | None) -> UArmSuctionEnv:

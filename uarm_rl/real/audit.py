@@ -18,7 +18,7 @@ from uarm_rl.task import kinematics
 from uarm_rl.task.arm import ArmError, JointPositions
 from uarm_rl.task.kinematics import ELBOW_OPENING_DEG, MOTOR_LIMITS_DEG
 from uarm_rl.task.layouts import ways_between
-from uarm_rl.task.obstacles import Box, way_clearances_m
+from uarm_rl.task.obstacles import Box, Size, way_clearances_m
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +31,12 @@ _PATH_TOLERANCE_M: Final = 0.001  # a way out of a forbidden place may dip by th
 _CLOSE_STEP_DEG: Final = 0.25  # and beside a known object so often: the cup travels a millimetre
 _CLEARANCE_M: Final = 0.001  # beside it, for what happens between two looks
 _ROUNDING_M: Final = 2e-5
+_DRIFT_M: Final = 1e-4  # likewise beside an obstacle, where it is the whole arm that is looked at
 _RISES_M: Final = tuple(0.002 * step for step in range(31))  # where a way over the object is looked for
+#: And one past an obstacle: how far drawn in and how far raised, the nearest first.
+_EVASIONS_M: Final = tuple(sorted(itertools.product((0.0, 0.005, 0.01, 0.02, 0.03), repeat=2), key=lambda by: math.hypot(*by)))[
+    1:
+]
 
 #: The arm's own base, from the maker's CAD model: half of its square footprint and its height, with the radius of the
 #: cup's lip (9.5 mm) around it. Firmware 3.2 refuses such targets, firmware 4 drives into them.
@@ -63,10 +68,11 @@ class Limits:
     max_speed_deg_s: float = 40.0
     obstacle_clearance_m: float = 0.01
     obstacles: tuple[Box, ...] = ()
+    carried_m: Size | None = None
 
-    def carrying(self, size_m: Sequence[float]) -> Limits:
+    def carrying(self, size_m: Size | None) -> Limits:
         """These limits while something of that length, width and height (m) hangs from the cup: it too keeps clear."""
-        return replace(self, obstacles=tuple(box.around(size_m) for box in self.obstacles))
+        return replace(self, carried_m=size_m)
 
     def __post_init__(self) -> None:
         for name in ("x_m", "y_m", "z_m"):
@@ -109,7 +115,7 @@ class KnownObject:
 class Audited:
     """A motion command that passed. ``clamped``: the reference was pulled inside a limit, by at most two microsteps.
 
-    ``pulled_up_m``: by how much it was raised so as to spare the known object.
+    ``pulled_up_m``: by how much it was raised so as to spare the known object, or raised and drawn in to keep off an obstacle.
     """
 
     command: Command
@@ -136,7 +142,8 @@ def audit(
     obstacles. An arm that starts outside (sagged onto the table) may move as long as that brings it no further outside.
 
     A cup that would come too deep into the ``known`` object, or into its side, there or on its way, goes to the lowest place
-    above that spares it.
+    above that spares it. A single step that would bring the arm too near an obstacle goes to the nearest of a few places that
+    are drawn in and higher, if the arm keeps clear there and on its way.
     """
     reference = _three_numbers(reference_rad)
     if not kinematics.within_limits(reference, tolerance_rad=math.radians(_MICROSTEP_DEG)):
@@ -156,14 +163,15 @@ def audit(
             f"a step from {_degrees(joints_rad)} to {_degrees(reference)} turns a joint by "
             f"{math.degrees(step_rad):.1f} degrees; allowed are {math.degrees(limits.max_step_rad):.1f} in one step"
         )
+    if single_step and limits.obstacles:
+        reference, aside_m = _clear(reference, joints_rad, limits, known)
+        pulled_up_m = pulled_up_m or aside_m
     start, end = kinematics.to_motor_deg(joints_rad), kinematics.to_motor_deg(reference)
     legal = _pull_inside(*end)
     if clamped := max(abs(a - b) for a, b in zip(legal, end, strict=True)) > 1e-9:
         log.info("motor angles B %.4f, L %.4f, R %.4f clamped to the limits: B %.4f, L %.4f, R %.4f", *end, *legal)
-    _check_path(start, legal, limits)
-    b1, j2, j3 = kinematics.from_motor_deg(*legal).tolist()
-    _check_obstacles(joints_rad, (b1, j2, j3), limits)
-    return Audited(Command("G2206", *legal, feed), (b1, j2, j3), math.dist(start, legal), clamped, pulled_up_m)
+    reached = _check_way(joints_rad, legal, limits)
+    return Audited(Command("G2206", *legal, feed), reached, math.dist(start, legal), clamped, pulled_up_m)
 
 
 def way(
@@ -211,6 +219,33 @@ def _spared(
     )
 
 
+def _clear(
+    reference: JointPositions, joints_rad: JointPositions, limits: Limits, known: KnownObject | None
+) -> tuple[JointPositions, float]:
+    """The reference, or the nearest place to which the arm keeps clear of the obstacles; and how far away that is.
+
+    Where there is none about the reference, the cup draws in and rises where it is: from there the next command has more
+    room. Where there is none at all it is the reference, which is refused then.
+    """
+    try:
+        _check_way(joints_rad, _pull_inside(*kinematics.to_motor_deg(reference)), limits)
+    except ObstructedError:
+        wanted = _cup_of(reference)
+        for x, y, z in (wanted, _cup_of(joints_rad)):
+            for inwards_m, rise_m in _EVASIONS_M:
+                stretch = 1.0 - inwards_m / math.hypot(x, y)
+                place = (stretch * x, stretch * y, z + rise_m)
+                with suppress(kinematics.UnreachableError, UnsafeCommandError):
+                    one, two, three = kinematics.inverse(place).tolist()
+                    near = max(abs(b - a) for a, b in zip(joints_rad, (one, two, three), strict=True)) <= limits.max_step_rad
+                    if near and (known is None or _spares(joints_rad, (one, two, three), known)):
+                        _check_way(joints_rad, _pull_inside(*kinematics.to_motor_deg((one, two, three))), limits)
+                        return (one, two, three), math.dist(place, wanted)
+    except UnsafeCommandError:
+        pass  # of another kind: refused as it is
+    return reference, 0.0
+
+
 def _spares(start_rad: JointPositions, end_rad: JointPositions, known: KnownObject) -> bool:
     """Whether the cup comes no deeper into the object, on a straight way in angles, than it is or may be."""
     allowed_m = known.depth_m(_cup_of(start_rad)) + _ROUNDING_M
@@ -251,6 +286,14 @@ def _pull_inside(base: float, left: float, right: float) -> tuple[float, float, 
     return base, left, min(max(right, low), high)
 
 
+def _check_way(joints_rad: JointPositions, legal_deg: tuple[float, float, float], limits: Limits) -> tuple[float, float, float]:
+    """Look at cup and arm all along the way to these motor angles; the joint positions at its end."""
+    _check_path(kinematics.to_motor_deg(joints_rad), legal_deg, limits)
+    one, two, three = kinematics.from_motor_deg(*legal_deg).tolist()
+    _check_obstacles(joints_rad, (one, two, three), limits)
+    return one, two, three
+
+
 def _check_path(start_deg: tuple[float, float, float], end_deg: tuple[float, float, float], limits: Limits) -> None:
     """The firmware moves all motors along one straight line in angles; look at the cup all along it."""
     allowed_m = _outside(_cup(start_deg), limits)[0] + _PATH_TOLERANCE_M
@@ -273,9 +316,11 @@ def _check_obstacles(start_rad: JointPositions, end_rad: JointPositions, limits:
     """Look at the whole arm all along its way: no part of it may come nearer to an obstacle than it may, or is."""
     if not limits.obstacles:
         return
-    begins_m, *on_its_way_m = way_clearances_m(start_rad, end_rad, limits.obstacles, math.radians(_CLOSE_STEP_DEG)).tolist()
+    step_rad = math.radians(_CLOSE_STEP_DEG)
+    begins_m, *on_its_way_m = way_clearances_m(start_rad, end_rad, limits.obstacles, step_rad, limits.carried_m).tolist()
     nearest_m, allowed_m = min(on_its_way_m), limits.obstacle_clearance_m
-    if nearest_m < min(allowed_m, begins_m - _ROUNDING_M):
+    # Who is too near already may leave, straight up for instance, which in joint angles is not quite straight.
+    if nearest_m < min(allowed_m, begins_m - _PATH_TOLERANCE_M) or on_its_way_m[-1] < min(allowed_m, begins_m - _DRIFT_M):
         raise ObstructedError(
             f"on its way to {_degrees(end_rad)} the arm would be within {1000.0 * max(0.0, nearest_m):.0f} mm of an obstacle, "
             f"and {1000.0 * allowed_m:g} mm are to be kept; choose another target, or move the obstacle"

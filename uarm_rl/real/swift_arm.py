@@ -296,7 +296,7 @@ class SwiftArm:
 
     @property
     def _bounds(self) -> Limits:
-        return self._limits.carrying(self.carried_m) if self.carried_m else self._limits
+        return self._limits.carrying(self.carried_m)
 
     def _move(self, reference_rad: Sequence[float], *, single_step: bool) -> None:
         audited = audit(

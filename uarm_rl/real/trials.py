@@ -40,6 +40,7 @@ _SEAL_S: Final = 1.0  # how long a cup may take to seal; users of the arm wait 0
 _LOOK_S: Final = 0.1
 _HANG_S: Final = 0.5  # how long the object must hang after the lift
 _RELEASE_S: Final = 0.5  # the valve lets air in
+_BESIDE_M: Final = 0.005  # more than an obstacle's clearance: it will not lie there to the millimetre
 _PLACES: Final = 50  # are tried to put the object down, where obstacles are in the way
 
 #: The environment wants a reward; on the real arm nobody looks at it.
@@ -203,12 +204,14 @@ def run_trials(
 def scattered(generator: np.random.Generator, within: Limits | None = None) -> Callable[[Vector], Vector]:
     """Puts each object down at a random place of the operating range that the camera sees, at the height it came from, and
     where the obstacles, if there are any, leave room for the arm."""
-    obstacles, clearance_m = (within.obstacles, within.obstacle_clearance_m) if within else ((), 0.0)
+    within = within or Limits()
+    clearance_m = within.obstacle_clearance_m + _BESIDE_M
 
     def put_down(target_m: Vector) -> Vector:
         while True:
             place = positions.draw(generator, float(target_m[2]))
-            if math.hypot(place[0], place[1]) >= _SEEN_FROM_M and leaves_room(place, obstacles, clearance_m):
+            seen = math.hypot(place[0], place[1]) >= _SEEN_FROM_M
+            if seen and leaves_room(place, within.obstacles, clearance_m, within.carried_m):
                 return place
 
     return put_down

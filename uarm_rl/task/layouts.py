@@ -40,8 +40,8 @@ _STRAIGHT: Final = 12  # poses on that way
 _STEP_RAD: Final = 0.1
 #: Where the arm may lift its cup to before it turns: distance from the axis and height, the easiest first.
 _LIFTS_M: Final = tuple((radius, height) for height in (0.22, 0.26, 0.17, 0.12) for radius in (0.2, 0.14, 0.26))
-#: And where an arm that has to come past whatever stands there: as near to its base as it can.
-_DRAWN_IN_M: Final = ((0.1275, 0.14), (0.12, 0.085))
+#: And where an arm that has to come past whatever stands there: as near to its base, and as high, as it can.
+_FARTHEST_M: Final = ((0.1275, 0.14), (0.12, 0.085), (0.22, 0.18), (0.25, 0.18))
 
 
 class Layout(NamedTuple):
@@ -94,39 +94,45 @@ class Obstacles:
     That ends the attempt. It begins at home, but for a share ``elsewhere`` of those in training, which
     begin in any pose clear of all obstacles: who has to come past them to the object would see it seldom while it learns to.
     In training the arm is padded, and what comes nearer than ``margin_m`` is touched, so that a policy keeps off what it need
-    not come near to: in a test, it is not.
+    not come near to: in a test, it is not. In a share ``anywhere`` of the layouts nothing need be in the way: obstacles stand
+    on either side, and the object may lie ahead.
     """
 
-    def __init__(self, slots: int, touching: float, elsewhere: float = 0.0, margin_m: float = 0.0) -> None:
+    def __init__(
+        self, slots: int, touching: float, elsewhere: float = 0.0, margin_m: float = 0.0, anywhere: float = 0.0
+    ) -> None:
         self._elsewhere = checks.number("task.elsewhere", elsewhere, low=0.0, high=1.0)
+        self._anywhere = checks.number("task.anywhere", anywhere, low=0.0, high=1.0)
         self.slots = checks.integer("task.slots", slots, low=1, high=SLOTS)
         self.touching = checks.number("task.touching", touching, low=-1e4, high=0.0)
         self.margin_m = checks.number("task.margin_m", margin_m, low=0.0, high=_CLEARANCE_M)
 
     def draw(self, generator: np.random.Generator, height_m: float, cup_m: Vector) -> Layout:
         count = int(generator.integers(1, self.slots + 1))  # before the rest: of three, more are thrown away
+        anywhere = self._anywhere > 0.0 and generator.random() < self._anywhere
         while True:
-            layout = self._sketch(generator, height_m, count)
+            layout = self._sketch(generator, height_m, count, anywhere)
             if layout is not None and way(layout) is not None:
                 begins_elsewhere = self._elsewhere > 0.0 and generator.random() < self._elsewhere
                 start_rad = _clear_pose(generator, layout) if begins_elsewhere else None
                 return layout._replace(start_rad=start_rad, margin_m=self.margin_m)
 
-    def _sketch(self, generator: np.random.Generator, height_m: float, count: int) -> Layout | None:
+    def _sketch(self, generator: np.random.Generator, height_m: float, count: int, anywhere: bool) -> Layout | None:
         """A layout that may have no way yet; ``None`` if things stand in each other, or nothing is in the way."""
         object_m = positions.draw(generator, height_m)
         turn = math.atan2(object_m[1], object_m[0])
-        if abs(turn) < _LEAST_TURN_RAD:
+        if not anywhere and abs(turn) < _LEAST_TURN_RAD:
             return None
         found: list[Box] = []
         for _ in range(count):
-            bearing, radius_m = turn * generator.uniform(*_SHARES), generator.uniform(*_RADII_M)
+            bearing = generator.uniform(-1.0, 1.0) * math.pi / 2.0 if anywhere else turn * generator.uniform(*_SHARES)
+            radius_m = generator.uniform(*_RADII_M)
             length_m, width_m = (round(side, 3) for side in generator.uniform(*_SIDES_M, size=2))
             tall_m = round(generator.uniform(*_HEIGHTS_M), 3)
             x, y = (round(radius_m * along(bearing), 3) for along in (math.cos, math.sin))
             found.append(Box((x, y, tall_m / 2.0), (length_m, width_m, tall_m)))
         layout = Layout(object_m, in_order(found))
-        return layout if not fault(layout) and _blocks(layout) else None
+        return layout if not fault(layout) and (anywhere or _blocks(layout)) else None
 
 
 def _clear_pose(generator: np.random.Generator, layout: Layout) -> Vector:
@@ -191,7 +197,7 @@ def ways_between(start_rad: Sequence[float] | Vector, end_rad: Sequence[float] |
 
     Draw the cup in and up, turn, stretch. Nothing is said of whether anything is in the way of one.
     """
-    for up in _lifts(_LIFTS_M + _DRAWN_IN_M):
+    for up in _lifts(_LIFTS_M + _FARTHEST_M):
         yield [*_outwards(np.array(start_rad), up)[-2::-1], *_outwards(np.array(end_rad), up)]
 
 

@@ -26,9 +26,13 @@ _CAMERA_M: Final = 0.03
 _CAMERA_AHEAD_M: Final = 0.075  # of the cup, on UFACTORY's mount
 _CAMERA_BELOW_M: Final = 0.03  # the wrist
 _RADII: Final[Vector] = np.array([_BASE_M, _LIMB_M, _LIMB_M, _HAND_M, _CUP_M, _CAMERA_M])
+_CUP_END: Final = 4  # the axis that ends in the cup's lip
 _NOTHING: Final = 1e-12
 #: No part of the arm moves farther than so much (m) while joint1, joint2 or joint3 turns by a radian.
 _LEVERS_M: Final[Vector] = np.array([0.48, 0.43, 0.29])
+
+
+Size = tuple[float, float, float]
 
 
 class Box(NamedTuple):
@@ -36,12 +40,6 @@ class Box(NamedTuple):
 
     centre_m: tuple[float, float, float]
     size_m: tuple[float, float, float]
-
-    def around(self, carried_m: Sequence[float]) -> Box:
-        """Where the cup may not be lest what hangs from it (length, width, height, m; however turned) is in this box."""
-        (x, y, z), (length, width, tall) = self
-        aside, below = math.hypot(carried_m[0], carried_m[1]), carried_m[2]
-        return Box((x, y, z + below / 2.0), (length + aside, width + aside, tall + below))
 
     def __str__(self) -> str:
         place, size = (", ".join(f"{1000.0 * value:g}" for value in values) for values in self)
@@ -72,9 +70,17 @@ def _box(name: str, row: object) -> Box:
     return box
 
 
-def clearances_m(joints_rad: Vector, obstacles: Sequence[Box]) -> Vector:
-    """How near the arm is to the nearest obstacle in each of the poses, shape (n, 3); shape (n,), below 0 inside it."""
+def clearances_m(joints_rad: Vector, obstacles: Sequence[Box], carried_m: Size | None = None) -> Vector:
+    """How near the arm is to the nearest obstacle in each of the poses, shape (n, 3); shape (n,), below 0 inside it.
+
+    ``carried_m``: length, width and height of what hangs from the cup, as the sphere around it, and is a part of the arm.
+    """
     starts, ends = _axes(joints_rad)
+    radii = _RADII
+    if carried_m:
+        below = (ends[:, _CUP_END] - (0.0, 0.0, carried_m[2] / 2.0))[:, np.newaxis]
+        starts, ends = np.concatenate([starts, below], axis=1), np.concatenate([ends, below], axis=1)
+        radii = np.append(radii, math.hypot(*carried_m) / 2.0)
     centres, sizes = (np.array(each) for each in zip(*obstacles, strict=True))
     low, high = centres - sizes / 2.0, centres + sizes / 2.0
     start, along = starts[:, :, np.newaxis], (ends - starts)[:, :, np.newaxis]
@@ -96,12 +102,15 @@ def clearances_m(joints_rad: Vector, obstacles: Sequence[Box]) -> Vector:
     share = falls / (falls - rises - _NOTHING)  # where the slope is nought between the two
     lowest = left + np.minimum(np.maximum(share, 0.0), 1.0) * (right - left)
     apart = outside(lowest[..., np.newaxis])[..., 0, :]
-    nearest: Vector = (np.sqrt(np.einsum("...i,...i", apart, apart)) - _RADII[:, np.newaxis]).min(axis=(1, 2))
+    nearest: Vector = (np.sqrt(np.einsum("...i,...i", apart, apart)) - radii[:, np.newaxis]).min(axis=(1, 2))
     return nearest
 
 
-def leaves_room(top_m: Sequence[float] | Vector, obstacles: Sequence[Box], clearance_m: float) -> bool:
-    """Whether the cup can come straight down onto an upper surface there, from ``APPROACH_HEIGHT_M`` above, past the obstacles.
+def leaves_room(
+    top_m: Sequence[float] | Vector, obstacles: Sequence[Box], clearance_m: float, carried_m: Size | None = None
+) -> bool:
+    """Whether the cup can come straight down onto an upper surface there, from ``APPROACH_HEIGHT_M`` above, past the obstacles,
+    and with ``carried_m`` (see :func:`clearances_m`) what hangs from it.
 
     Raises ``UnreachableError`` for a place that it cannot reach at all.
     """
@@ -109,10 +118,16 @@ def leaves_room(top_m: Sequence[float] | Vector, obstacles: Sequence[Box], clear
         return True
     x, y, z = (float(value) for value in top_m)
     way = [kinematics.inverse((x, y, z + rise_m)) for rise_m in (0.0, APPROACH_HEIGHT_M / 2.0, APPROACH_HEIGHT_M)]
-    return bool(clearances_m(np.array(way), obstacles).min() >= clearance_m)
+    return bool(clearances_m(np.array(way), obstacles, carried_m).min() >= clearance_m)
 
 
-def way_clearances_m(start_rad: Sequence[float], end_rad: Sequence[float], obstacles: Sequence[Box], step_rad: float) -> Vector:
+def way_clearances_m(
+    start_rad: Sequence[float],
+    end_rad: Sequence[float],
+    obstacles: Sequence[Box],
+    step_rad: float,
+    carried_m: Size | None = None,
+) -> Vector:
     """How near the arm comes to an obstacle on a straight way in angles: where it starts, and in each of the pieces behind.
 
     Nothing in between comes nearer: what the arm can move within half a piece, of at most ``step_rad``, is taken off of all.
@@ -120,7 +135,7 @@ def way_clearances_m(start_rad: Sequence[float], end_rad: Sequence[float], obsta
     start, turn = np.array(start_rad), np.subtract(end_rad, start_rad)
     pieces = math.ceil(np.abs(turn).max() / step_rad) + 1
     poses = start + np.linspace(0.0, 1.0, pieces + 1)[:, np.newaxis] * turn
-    near = clearances_m(poses, obstacles)
+    near = clearances_m(poses, obstacles, carried_m)
     near[1:] = np.minimum(near[:-1], near[1:])
     within: Vector = near - float(np.abs(turn) @ _LEVERS_M) / pieces / 2.0
     return within
