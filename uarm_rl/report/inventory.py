@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import os
+import stat
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -69,9 +72,19 @@ def inventory(results_dir: Path) -> list[Run]:
     return [_run(name, folder) for name, folders in runs.items() for folder in folders]
 
 
+def _files(folder: Path) -> Iterator[os.stat_result]:
+    """What is known of every file in a run's folder; one that is being saved may be renamed while it is looked at."""
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            with suppress(FileNotFoundError):
+                found = os.lstat(os.path.join(parent, name))
+                if stat.S_ISREG(found.st_mode):
+                    yield found
+
+
 def _run(name: str, folder: Path) -> Run:
     settings = read_config(folder)
-    status = [path.stat() for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+    status = list(_files(folder))
     stale: list[str] = []
     tested = _values(folder / "evaluation.csv", _EVALUATION, stale)
     holder = locks.holder(folder)  # asked first: it may finish meanwhile
