@@ -15,7 +15,7 @@ from tests.bench import HOME, Bench, spares
 from uarm_rl.emulator.realism import Settings
 from uarm_rl.real.audit import KnownObject, Limits, ObstructedError, UnsafeCommandError, audit, way
 from uarm_rl.task import kinematics
-from uarm_rl.task.obstacles import Box, clearances_m
+from uarm_rl.task.obstacles import Box, clearances_m, way_clearances_m
 
 
 @pytest.mark.parametrize(
@@ -252,3 +252,15 @@ def test_what_hangs_from_the_cup_keeps_clear_too(bearing, turned):
     around = kinematics.cup_position(end)[:2] + corners @ spin.T
     beyond = np.abs(around - low.centre_m[:2]) - np.array(low.size_m[:2]) / 2.0
     assert (beyond.max(axis=1) > 0.0).all()  # a corner of the one is not in the other
+
+
+def test_an_arm_that_is_just_clear_of_an_obstacle_does_not_come_nearer_on_its_way():
+    """The tolerance is for who is too near already: a turn past a box whose nearest point lies within the clearance."""
+    box = Box((0.27, 0.0, 0.12), (0.04, 0.03, 0.24))
+    start, end = (tuple(kinematics.inverse((0.2 * math.cos(a), 0.2 * math.sin(a), 0.12))) for a in (-0.7, 0.7))
+    nearest = way_clearances_m(start, end, [box], math.radians(0.25)).min()
+    for spare_m in (0.0001, 0.0005, 0.0009):
+        within = Limits(obstacles=(box,), obstacle_clearance_m=max(0.0, float(nearest)) + spare_m)
+        assert clearances_m(np.array([start]), [box])[0] > within.obstacle_clearance_m
+        with pytest.raises(ObstructedError):
+            audit(end, start, feed=20.0, limits=within, single_step=False)

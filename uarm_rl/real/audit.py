@@ -34,9 +34,8 @@ _ROUNDING_M: Final = 2e-5
 _DRIFT_M: Final = 1e-4  # likewise beside an obstacle, where it is the whole arm that is looked at
 _RISES_M: Final = tuple(0.002 * step for step in range(31))  # where a way over the object is looked for
 #: And one past an obstacle: how far drawn in and how far raised, the nearest first.
-_EVASIONS_M: Final = tuple(sorted(itertools.product((0.0, 0.005, 0.01, 0.02, 0.03), repeat=2), key=lambda by: math.hypot(*by)))[
-    1:
-]
+_ASIDE_M: Final = (0.0, 0.005, 0.01, 0.02, 0.03)
+_EVASIONS_M: Final = tuple(sorted(itertools.product(_ASIDE_M, repeat=2), key=lambda by: math.hypot(*by)))[1:]
 
 #: The arm's own base, from the maker's CAD model: half of its square footprint and its height, with the radius of the
 #: cup's lip (9.5 mm) around it. Firmware 3.2 refuses such targets, firmware 4 drives into them.
@@ -57,7 +56,8 @@ class Limits:
     """Where the cup may be (m, base frame), how far one step may go, how fast the motors may turn.
 
     The default speed is the data sheet's 40 deg/s. ``max_step_rad`` bounds each of joint1..joint3 in one decision. No part of
-    the arm comes nearer than ``obstacle_clearance_m`` to one of the ``obstacles``.
+    the arm comes nearer than ``obstacle_clearance_m`` to one of the ``obstacles``, nor does what hangs from the cup, of length,
+    width and height ``carried_m``.
     """
 
     x_m: tuple[float, float] = (-0.01, 0.37)
@@ -319,8 +319,10 @@ def _check_obstacles(start_rad: JointPositions, end_rad: JointPositions, limits:
     step_rad = math.radians(_CLOSE_STEP_DEG)
     begins_m, *on_its_way_m = way_clearances_m(start_rad, end_rad, limits.obstacles, step_rad, limits.carried_m).tolist()
     nearest_m, allowed_m = min(on_its_way_m), limits.obstacle_clearance_m
-    # Who is too near already may leave, straight up for instance, which in joint angles is not quite straight.
-    if nearest_m < min(allowed_m, begins_m - _PATH_TOLERANCE_M) or on_its_way_m[-1] < min(allowed_m, begins_m - _DRIFT_M):
+    least_m, at_end_m = allowed_m, allowed_m
+    if begins_m < allowed_m:  # it may leave, straight up for instance, which in joint angles is not quite straight
+        least_m, at_end_m = begins_m - _PATH_TOLERANCE_M, begins_m - _DRIFT_M
+    if nearest_m < least_m or on_its_way_m[-1] < at_end_m:
         raise ObstructedError(
             f"on its way to {_degrees(end_rad)} the arm would be within {1000.0 * max(0.0, nearest_m):.0f} mm of an obstacle, "
             f"and {1000.0 * allowed_m:g} mm are to be kept; choose another target, or move the obstacle"

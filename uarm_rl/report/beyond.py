@@ -90,7 +90,9 @@ def torques(results_dir: Path) -> Section:
         section.contents["torque.md"] = Document(Table(headings, cells), _TOLD)
     _add_learning(section, "torque.png", runs, evaluations, "Success of policies that tell the motors torques")
     traced = {
-        method: pd.DataFrame(read(runs[method.folder][0] / TRACES_FILE, TRACES))
+        method._replace(label=_buffer(runs[method.folder]).replace("_", " "), buffer=""): pd.DataFrame(
+            read(runs[method.folder][0] / TRACES_FILE, TRACES)
+        )
         for method in methods(runs)
         if method.folder in runs and (runs[method.folder][0] / TRACES_FILE).exists()
     }

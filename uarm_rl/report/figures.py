@@ -203,7 +203,7 @@ def draw_shaking(figure: Figure, traces: Mapping[Method, pd.DataFrame], *, posit
         above[number].set_title(method.words)
         above[number].plot(tip[:, 0], tip[:, 1], color=method.colour, linewidth=0.6, marker=".", markersize=1.5)
         above[number].plot(*(1000.0 * (target[[-1], :2] - target[0, :2]).T), "k+", markersize=5)
-        above[number].set(xlim=(-40, 40), ylim=(-40, 40), xlabel="x from the object (mm)", aspect="equal")
+        above[number].set(xlim=(-40, 40), ylim=(-40, 40), xlabel="x from the\nobject (mm)", aspect="equal")
         beside[number].plot(trace["time_s"], tip[:, 2], color=method.colour)
         beside[number].set(ylim=(-8, 40))
         for joint, style in (("joint1_rad", "-"), ("joint2_rad", "--"), ("joint3_rad", ":")):
